@@ -2,7 +2,7 @@
 # are installed, so -DFETCHCONTENT_FULLY_DISCONNECTED=ON builds offline.
 include(FetchContent)
 
-find_package(Eigen3 3.3 QUIET NO_MODULE)
+find_package(Eigen3 3.4 QUIET NO_MODULE)  # 3.3 does not compile as C++20
 if(NOT TARGET Eigen3::Eigen)
   FetchContent_Declare(eigen
     URL https://gitlab.com/libeigen/eigen/-/archive/3.4.0/eigen-3.4.0.tar.gz

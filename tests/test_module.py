@@ -40,7 +40,7 @@ FRAME = _core.Frame(POINTS, CLASSES, 99.0)
         (lambda: _core.RangeImage(POINTS, GROUND[1:], 0.01, 5, 0.2), r"ground must have shape"),
         (lambda: _core.RangeImage(POINTS, GROUND, 1e-9, 5, 0.2), "resolution = 1e-09 must lie"),
         (
-            lambda: _core.cluster_objects(POINTS[1:], GROUND[1:], mesh(), _core.ObjectParameters()),
+            lambda: _core.cluster_objects(POINTS[1:], GROUND[1:], mesh()),
             "mesh was made of another number of points",
         ),
         (lambda: _core.vote(POINTS, GROUND, POSE, [None], POSE[None]), "a key frame is None"),

@@ -24,7 +24,8 @@ namespace py = pybind11;
 
 // No forcecast: a wrong dtype is an error. Vectors of the compiler need aligned values.
 template <class T>
-using Array = py::array_t<T, py::array::c_style | py::detail::npy_api::NPY_ARRAY_ALIGNED_>;
+using Array =
+    py::array_t<T, int(py::array::c_style) | int(py::detail::npy_api::NPY_ARRAY_ALIGNED_)>;
 
 using PointMap = Eigen::Map<const Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>>;
 

@@ -60,7 +60,7 @@ py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
   const py::ssize_t count = map.rows();
   return py::make_tuple(to_numpy(std::move(votes.statics), {count}),
                         to_numpy(std::move(votes.dynamics), {count}),
-                        to_numpy(std::move(votes.one_stay), {count}),
+                        to_numpy(std::move(votes.occupied_once), {count}),
                         to_numpy(std::move(votes.first_occupied), {count}),
                         to_numpy(std::move(votes.last_occupied), {count}));
 }

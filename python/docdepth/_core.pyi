@@ -7,7 +7,7 @@ import docdepth.errors
 import numpy
 import numpy.typing
 import typing
-__all__: list[str] = ['Detections', 'Frame', 'GlError', 'GlRenderer', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'MeshFrame', 'MeshImage', 'MeshImageParameters', 'MeshParameters', 'ObjectParameters', 'RangeImage', 'Rays', 'ScanMesh', 'TrackParameters', 'add_isolated_points', 'add_points_inside', 'classify_objects', 'cluster_objects', 'egl_devices', 'join_meshes', 'mesh_layers', 'nearest_neighbors', 'render_meshes', 'render_splats', 'splat_layers', 'thin_sweep', 'track_objects', 'vote']
+__all__: list[str] = ['ClassificationOptions', 'Detections', 'Frame', 'GlError', 'GlRenderer', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'MeshFrame', 'MeshImage', 'MeshImageParameters', 'MeshParameters', 'RangeImage', 'Rays', 'ScanMesh', 'add_isolated_points', 'add_points_inside', 'classify_objects', 'cluster_objects', 'egl_devices', 'join_meshes', 'mesh_layers', 'nearest_neighbors', 'render_meshes', 'render_splats', 'splat_layers', 'thin_sweep', 'track_objects', 'vote']
 class GroundParameters:
     def __init__(self) -> None:
         ...
@@ -185,7 +185,7 @@ class MeshImageParameters:
 class MeshImage(KeyFrame):
     def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], mesh: ScanMesh, parameters: MeshImageParameters) -> None:
         ...
-class ObjectParameters:
+class ClassificationOptions:
     def __init__(self) -> None:
         ...
     @property
@@ -199,18 +199,6 @@ class ObjectParameters:
         ...
     @clear_votes.setter
     def clear_votes(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def cluster_distance(self) -> float:
-        ...
-    @cluster_distance.setter
-    def cluster_distance(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def cluster_distance_growth(self) -> float:
-        ...
-    @cluster_distance_growth.setter
-    def cluster_distance_growth(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
     def dynamic_share(self) -> float:
@@ -278,50 +266,11 @@ class ObjectParameters:
     @observed_free_votes.setter
     def observed_free_votes(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
         ...
-class TrackParameters:
-    def __init__(self) -> None:
-        ...
-    @property
-    def max_gap(self) -> float:
-        ...
-    @max_gap.setter
-    def max_gap(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def max_gap_standing(self) -> float:
-        ...
-    @max_gap_standing.setter
-    def max_gap_standing(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def max_speed(self) -> float:
-        ...
-    @max_speed.setter
-    def max_speed(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def min_detections(self) -> int:
-        ...
-    @min_detections.setter
-    def min_detections(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def min_distance(self) -> float:
-        ...
-    @min_distance.setter
-    def min_distance(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def window(self) -> float:
-        ...
-    @window.setter
-    def window(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
 class Detections:
     @staticmethod
-    def of(numbers: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], areas: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], extents: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], samples: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], borders: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], sample_times: typing.Annotated[numpy.typing.ArrayLike, numpy.float32]) -> Detections:
+    def of(rows: typing.Annotated[numpy.typing.ArrayLike, ...], samples: typing.Annotated[numpy.typing.ArrayLike, ...], borders: typing.Annotated[numpy.typing.ArrayLike, ...]) -> Detections:
         ...
-    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], objects: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], dynamic: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], one_stay: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], first_occupied: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], last_occupied: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], mesh: ScanMesh, T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], time_offset: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None) -> None:
+    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], objects: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], dynamic: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], occupied_once: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], first_occupied: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], last_occupied: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], mesh: ScanMesh, T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], time_offset: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None) -> None:
         ...
     @property
     def arrays(self) -> tuple:
@@ -355,13 +304,13 @@ class GlRenderer:
     @property
     def renderer(self) -> str:
         ...
-def add_isolated_points(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], objects: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], static_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamic_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamic: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], parameters: ObjectParameters) -> numpy.typing.NDArray[numpy.uint8]:
+def add_isolated_points(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], objects: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], static_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamic_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamic: typing.Annotated[numpy.typing.ArrayLike, numpy.bool]) -> numpy.typing.NDArray[numpy.uint8]:
     ...
-def add_points_inside(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], static_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamic_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], boxes: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], voxels: typing.Annotated[numpy.typing.ArrayLike, numpy.uint64], dynamic: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], parameters: ObjectParameters) -> numpy.typing.NDArray[numpy.uint8]:
+def add_points_inside(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], static_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamic_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], boxes: typing.Annotated[numpy.typing.ArrayLike, ...], voxels: typing.Annotated[numpy.typing.ArrayLike, numpy.uint64], dynamic: typing.Annotated[numpy.typing.ArrayLike, numpy.bool]) -> numpy.typing.NDArray[numpy.uint8]:
     ...
-def classify_objects(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], objects: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], static_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamic_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], mesh: ScanMesh, parameters: ObjectParameters) -> numpy.typing.NDArray[numpy.uint8]:
+def classify_objects(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], objects: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], static_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], dynamic_votes: typing.Annotated[numpy.typing.ArrayLike, numpy.uint16], mesh: ScanMesh, options: ClassificationOptions = ...) -> numpy.typing.NDArray[numpy.uint8]:
     ...
-def cluster_objects(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], mesh: ScanMesh, parameters: ObjectParameters) -> numpy.typing.NDArray[numpy.uint32]:
+def cluster_objects(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], mesh: ScanMesh) -> numpy.typing.NDArray[numpy.uint32]:
     ...
 def egl_devices() -> int:
     ...
@@ -379,7 +328,7 @@ def splat_layers(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], wid
     ...
 def thin_sweep(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], times: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], size: typing.SupportsFloat | typing.SupportsIndex, min_range: typing.SupportsFloat | typing.SupportsIndex, max_range: typing.SupportsFloat | typing.SupportsIndex) -> tuple:
     ...
-def track_objects(read: collections.abc.Callable, times: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], parameters: TrackParameters, threads: typing.SupportsInt | typing.SupportsIndex, take: collections.abc.Callable, held: typing.SupportsInt | typing.SupportsIndex) -> list:
+def track_objects(read: collections.abc.Callable, times: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], threads: typing.SupportsInt | typing.SupportsIndex, take: collections.abc.Callable, buffer_size: typing.SupportsInt | typing.SupportsIndex) -> list:
     ...
 def vote(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], key_frames: collections.abc.Sequence[KeyFrame], poses: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], threads: typing.SupportsInt | typing.SupportsIndex = 0, earlier: typing.SupportsInt | typing.SupportsIndex = 0) -> tuple:
     ...

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from dynamics_reference import reference_moving
+from things import with_options
 
 from docdepth.config import parameters
 from docdepth.dynamics import key_frames, voting
 from docdepth.dynamics.classes import classify, confidence
 from docdepth.dynamics.classifier import classify_drive
-from docdepth.dynamics.clustering import OBJECT_PARAMETERS
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
 from docdepth.geometry.trajectory import Trajectory
@@ -98,17 +98,13 @@ def random_votes(points, seed, patches=40):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_shared_evidence_equals_the_reference(yard, seed, monkeypatch):
+def test_shared_evidence_equals_the_reference(yard, seed):
     _, sweeps, what = yard
     rng = np.random.default_rng(seed)
     rows = np.sort(rng.permutation(len(sweeps[seed]))[:15_000])
     points, ground = sweeps[seed][rows], what[seed][rows] == 0
     votes = random_votes(points, seed)
-    monkeypatch.setattr(OBJECT_PARAMETERS, "cluster_distance", 0.4)
-    monkeypatch.setattr(OBJECT_PARAMETERS, "neighbor_radius", 0.4)
-    expected = reference_moving(
-        points, ground, votes.static, votes.dynamic, cluster_distance=0.4, neighbor_radius=0.4
-    )
+    expected = reference_moving(points, ground, votes.static, votes.dynamic)
     assert 0.05 < expected.mean() < 0.95
     found = classify(ground, votes, DEFAULT.dynamics, points)
     np.testing.assert_array_equal(found == 100, expected)
@@ -143,7 +139,7 @@ def test_points_without_votes_do_not_count_against_their_object(yard, monkeypatc
     votes.dynamic[seen] = 3
     assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).all()
     with monkeypatch.context() as patch:
-        patch.setattr(OBJECT_PARAMETERS, "min_dynamic_share", 0.5)
+        with_options(patch, min_dynamic_share=0.5)
         assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).mean() < 0.9
     # But where most of those who looked saw it stand, or hardly anybody looked, it does not move.
     votes.static[np.setdiff1d(box, seen)] = 3
@@ -151,7 +147,7 @@ def test_points_without_votes_do_not_count_against_their_object(yard, monkeypatc
     votes.static[:], votes.dynamic[:] = 0, 0
     votes.dynamic[seen[-len(box) // 8 :]] = 3
     with monkeypatch.context() as patch:
-        patch.setattr(OBJECT_PARAMETERS, "min_dynamic_share", 0.2)
+        with_options(patch, min_dynamic_share=0.2)
         assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).mean() < 0.9
     assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).all()
     votes.dynamic[:] = 0

@@ -24,31 +24,30 @@ def test_detections_are_the_objects_of_their_sweep():
     free = rng.random(400) < 0.5
     occupancy, mesh = OccupancyIntervals(free, ends, ends), ScanMesh(points)
     made = Detections(points, ground, objects, moving, occupancy, mesh, T)
-    numbers, areas, boxes, places, normals, borders, times = made.arrays
-    assert list(numbers[:, 0]) == sorted(set(objects[~ground]))
-    for (first, count, dynamic, _, earliest, _, _, _, *stands), area, box in zip(
-        numbers, areas, boxes, strict=True
-    ):
-        members = ~ground & (objects == first)
+    rows, samples, borders = made.arrays
+    assert list(rows["first"]) == sorted(set(objects[~ground]))
+    for row in rows:
+        members, count = ~ground & (objects == row["first"]), row["points"]
         assert count == members.sum()
-        assert dynamic == (members & moving).sum()
+        assert row["dynamic_points"] == (members & moving).sum()
         world = points[members] + np.float32([3, -2, 1])
-        np.testing.assert_array_equal(box, [*world.min(0), *world.max(0)])
+        np.testing.assert_array_equal(row["low"], world.min(0))
+        np.testing.assert_array_equal(row["high"], world.max(0))
         squares = (points[members] ** 2).sum(1)
-        np.testing.assert_allclose(area[0], squares.sum(), rtol=1e-5)
-        np.testing.assert_allclose(area[1], squares[moving[members]].sum(), rtol=1e-5)
+        np.testing.assert_allclose(row["area"], squares.sum(), rtol=1e-5)
+        np.testing.assert_allclose(row["dynamic_area"], squares[moving[members]].sum(), rtol=1e-5)
         isolated = np.isin(np.flatnonzero(members), mesh.core.isolated).sum()
         freed = squares[free[members]].sum() if isolated <= 0.1 * count else 0
-        np.testing.assert_allclose(area[2], freed, rtol=1e-5)
+        np.testing.assert_allclose(row["free_area"], freed, rtol=1e-5)
         sweeps = np.sort(np.flatnonzero(members))
-        assert earliest == sweeps[count // 2]
+        assert row["first_occupied"] == sweeps[count // 2]
         quarters = [int(share * (int(count) - 1) + 0.5) for share in (0.25, 0.75)]
-        assert list(stands) == list(sweeps[quarters])
-    assert numbers[:, 3].sum() == len(places) == len(normals)
-    assert numbers[:, 6:8].sum() == len(borders)
-    assert len(times) == len(places) + len(borders)
+        assert [row["stands_since"], row["stands_until"]] == list(sweeps[quarters])
+    normals = samples["normal"]
+    assert rows["samples"].sum() == len(samples)
+    assert rows["edges"].sum() + rows["hidden"].sum() == len(borders)
     assert ((np.abs(np.linalg.norm(normals, axis=1) - 1) < 1e-5) | ~normals.any(1)).all()
-    assert numbers[:, 3].max() <= 100
+    assert rows["samples"].max() <= 100
 
 
 def test_borders_tell_where_an_object_ends_and_where_it_is_hidden():
@@ -59,13 +58,11 @@ def test_borders_tell_where_an_object_ends_and_where_it_is_hidden():
         Thing(POLE, parked_at(0.8, 4)),
     ]
     detections, rows = detections_of(things, 1)
-    numbers, *_, borders, _ = detections[0].arrays
-    (k,) = np.flatnonzero(numbers[:, 0] == rows[0][0])
-    ends = np.cumsum(numbers[:, 6:8].ravel().astype(int))  # edges and hidden of each in turn
-    edges, hidden = (
-        borders[ends[2 * k] - numbers[k, 6] : ends[2 * k]],
-        borders[ends[2 * k] : ends[2 * k + 1]],
-    )
+    objects, _, borders = detections[0].arrays
+    (k,) = np.flatnonzero(objects["first"] == rows[0][0])
+    counts = np.stack([objects["edges"], objects["hidden"]], 1)  # of each in turn
+    parts = np.split(borders["point"], np.cumsum(counts.ravel().astype(int)))
+    edges, hidden = parts[2 * k], parts[2 * k + 1]
     front = 8 - CAR[1] / 2
     below = edges[:, 2] < 1.3  # the roof ends, too
     assert below.sum() >= 4

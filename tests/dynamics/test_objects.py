@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from things import with_options
 
 from docdepth.config import parameters
 from docdepth.datasets.base import Sweep
 from docdepth.dynamics import key_frames
 from docdepth.dynamics.classes import classify
 from docdepth.dynamics.classifier import classify_drive
-from docdepth.dynamics.clustering import OBJECT_PARAMETERS, cluster_objects
+from docdepth.dynamics.clustering import cluster_objects
 from docdepth.dynamics.voting import Votes
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.sensor_rig import SensorRig
@@ -27,7 +28,7 @@ DEFAULT = parameters("default").dynamics
 @pytest.fixture
 def few_votes(monkeypatch):
     """Settings with which votes alone do not find what tracks should find."""
-    monkeypatch.setattr(OBJECT_PARAMETERS, "observed_free_share", 1.0)
+    with_options(monkeypatch, observed_free_share=1.0)
     monkeypatch.setattr(key_frames, "END_SPACING", 0.2)
     monkeypatch.setattr(key_frames, "END_RADIUS", 1)
     return {"ground.seed_radius": 3.0, "dynamics.time_spacing": 1}

@@ -13,7 +13,7 @@ def tracks_of(things, count=COUNT):
     found = tracking_of(detections, straight(count))
     owners = [set() for _ in things]
     for sweep, firsts in zip(found.sweeps, rows, strict=True):
-        track_of = {int(first): int(track) for first, track, _ in sweep.members}
+        track_of = {int(first): int(track) for first, track, _ in sweep.members.tolist()}
         for thing, first in firsts.items():
             if first in track_of:
                 owners[thing].add(track_of[first])

@@ -16,7 +16,7 @@ from things import (
     waits,
 )
 
-from docdepth.dynamics.tracking import TRACK_PARAMETERS, Detections
+from docdepth.dynamics.tracking import Detections
 from docdepth.dynamics.voting import OccupancyIntervals
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.trajectory import Trajectory
@@ -115,7 +115,7 @@ def path_of(place, count, lost=()):
     return track, found.sweeps
 
 
-def test_a_car_that_is_lost_is_where_its_motion_predicts_it(monkeypatch):
+def test_a_car_that_is_lost_is_where_its_motion_predicts_it():
     lost = {0, 1, 7, 8, 9, 27}
 
     def place(i):
@@ -123,19 +123,17 @@ def test_a_car_that_is_lost_is_where_its_motion_predicts_it(monkeypatch):
 
     _, sweeps = path_of(place, 28, lost)
     for i in lost:
-        ((_, moving),) = sweeps[i].box_tracks
-        assert moving
-        T = np.vstack([sweeps[i].boxes[0, :12].reshape(3, 4), [0, 0, 0, 1]])
+        (box,) = sweeps[i].boxes
+        assert box["is_moving"]
+        T = np.vstack([box["T_box_world"], [0, 0, 0, 1]])
         np.testing.assert_allclose(np.linalg.inv(T)[0, 3], place(i)[0], atol=0.3)
-    monkeypatch.setattr(TRACK_PARAMETERS, "window", 0)
-    assert not any(len(sweep.boxes) for sweep in path_of(place, 28, lost)[1])
 
 
 def test_the_box_of_a_standing_object_does_not_move():
     car = Thing(CAR, waits((15, 3), 20), range(50))
     found = tracking_of(detections_of([car], 50)[0], straight(50)).sweeps
-    assert not any(moves for sweep in found[:18] for _, moves in sweep.box_tracks)
-    assert all(moves for sweep in found[28:] for _, moves in sweep.box_tracks)
+    assert not any(sweep.boxes["is_moving"].any() for sweep in found[:18])
+    assert all(sweep.boxes["is_moving"].all() for sweep in found[28:])
     assert all(len(sweep.boxes) for sweep in found)
 
 

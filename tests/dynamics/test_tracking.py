@@ -272,17 +272,18 @@ def test_points_in_a_predicted_box_are_dynamic_unless_votes_or_ground_say_otherw
     points = np.array([[5, 0, 0], [5, 1, 0], [5, 2, 0], [5, 0, 0], [9, 0, 0]], np.float32)
     T_box_world = np.eye(4)[:3]
     T_box_world[:, 3] = -7, -1, -1  # in the world: from (6, -1, 0) to (8, 3, 2)
-    box = np.r_[T_box_world.ravel(), 1, 2, 1].astype(np.float32)[None]
+    box = np.array([(4, 1, T_box_world, (1, 2, 1))], TrackedSweep().boxes.dtype)
     static, dynamic = np.array([[0, 2, 3, 0, 0], [0] * 5], np.uint16)
     classid = np.array([50, 50, 50, 0, 50], np.uint16)
     alone = np.arange(5, dtype=np.uint32)
-    found = TrackedSweep(box_tracks=np.array([[4, 1]], np.uint32), boxes=box)
+    found = TrackedSweep(boxes=box)
     classes, instance = label_by_tracks(
         points, alone, Votes(static, dynamic), classid, found, T, 20
     )
     assert list(classes) == [100, 100, 50, 0, 50]
     assert list(instance) == [4, 4, 0, 0, 0]
-    stands = found._replace(box_tracks=np.array([[4, 0]], np.uint32))
+    box["is_moving"] = 0
+    stands = TrackedSweep(boxes=box)
     classes, _ = label_by_tracks(points, alone, Votes(static, dynamic), classid, stands, T, 20)
     assert list(classes) == list(classid)
 
@@ -298,7 +299,7 @@ def test_an_always_occupied_rest_of_a_tracked_object_stays_static(always, key_fr
     points = np.stack([10 + 0.02 * rows, 0 * rows, 0 * rows], 1).astype(np.float32)
     static, dynamic = np.full(100, always, np.uint16), (~occupied).astype(np.uint16)
     classid = np.where(rows < 40, 100, 50).astype(np.uint16)  # these move by their votes
-    found = TrackedSweep(np.array([[0, 3, 1]], np.uint32))
+    found = TrackedSweep(np.array([(0, 3, 1)], TrackedSweep().members.dtype))
     whole = np.zeros(100, np.uint32)
     votes = Votes(static, dynamic)
     classes, instance = label_by_tracks(points, whole, votes, classid, found, np.eye(4), key_frames)

@@ -1,9 +1,11 @@
 """Boxes around a LiDAR that drives ahead, and what trackers are given of them."""
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+import docdepth._core as _core
 from docdepth.dynamics.tracking import Detections, TrackedSweep, track_objects
 from docdepth.dynamics.voting import OccupancyIntervals
 from docdepth.geometry.scan_mesh import ScanMesh
@@ -130,6 +132,15 @@ def detections_of(things, count, seed=0, joined=None, drive=None):
         detections.append(Detections(cloud, none, objects, flags, seen, ScanMesh(cloud), T))
         rows.append(firsts)
     return detections, rows
+
+
+def with_options(monkeypatch, **changed):
+    """Classify objects with other constants of the core."""
+    options = _core.ClassificationOptions()
+    for name, value in changed.items():
+        setattr(options, name, value)
+    chosen = partial(_core.classify_objects, options=options)
+    monkeypatch.setattr(_core, "classify_objects", chosen)
 
 
 def straight(count):

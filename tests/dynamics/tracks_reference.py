@@ -23,12 +23,13 @@ def dynamic_voxels(detections, tracked, times):
     return result
 
 
-def dynamic_objects(numbers, areas, boxes, places, normals, _borders, _times):
-    ends = np.cumsum(numbers[:, 3]).astype(int)
+def dynamic_objects(rows, samples, _borders):
+    ends = np.cumsum(rows["samples"]).astype(int)
     return [
         {
-            "first": int(n[0]), "points": int(n[1]), "dynamic": int(n[2]),
-            "moves": 2 * int(n[2]) >= int(n[1]), "low": box[:3], "high": box[3:], "places": shape,
+            "first": int(row["first"]),
+            "moves": 2 * int(row["dynamic_points"]) >= int(row["points"]),
+            "places": places,
         }
-        for n, box, shape in zip(numbers, boxes, np.split(places, ends[:-1]), strict=True)
-    ]  # fmt: skip
+        for row, places in zip(rows, np.split(samples["point"], ends[:-1]), strict=True)
+    ]

@@ -61,9 +61,8 @@ def test_tracks_are_read_as_they_were_kept(run):
     rng = np.random.default_rng(1)
     sweeps = [
         TrackedSweep(
-            rng.integers(0, 9, (k, 3)).astype(np.uint32),
-            rng.integers(0, 9, (2, 2)).astype(np.uint32),
-            rng.random((2, 15), np.float32),
+            rng.integers(0, 9, 3 * k, np.uint32).view(TrackedSweep().members.dtype),
+            rng.integers(0, 9, 34, np.uint32).view(TrackedSweep().boxes.dtype),
             np.arange(k, dtype=np.uint64),
         )
         for k in range(6)

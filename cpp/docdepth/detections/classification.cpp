@@ -5,7 +5,7 @@
 #include <unordered_map>
 
 #include "docdepth/detections/connectivity.hpp"
-#include "docdepth/detections/constants.hpp"
+#include "docdepth/detections/detections.hpp"
 #include "docdepth/geometry/sampled_points.hpp"
 
 namespace docdepth {
@@ -41,16 +41,16 @@ struct Evidence {
   bool any = false;  ///< anything but static points
 
   Evidence(std::size_t count, const std::uint16_t* statics, const std::uint16_t* dynamics,
-           const ObjectParameters& p)
+           const ClassificationOptions& options)
       : voted(count), dynamic(count), observed_free(count), observed_occupied(count) {
     for (std::size_t i = 0; i < count; ++i) {
       voted[i] = statics[i] || dynamics[i];
       dynamic[i] = dynamics[i] > statics[i];
-      observed_occupied[i] =
-          statics[i] >= p.max_static_ratio * static_cast<float>(std::max<int>(dynamics[i], 1));
-      observed_free[i] =
-          dynamics[i] >= p.observed_free_votes &&
-          p.max_static_ratio * static_cast<float>(dynamics[i]) > static_cast<float>(statics[i]);
+      observed_occupied[i] = statics[i] >= options.max_static_ratio *
+                                               static_cast<float>(std::max<int>(dynamics[i], 1));
+      observed_free[i] = dynamics[i] >= options.observed_free_votes &&
+                         options.max_static_ratio * static_cast<float>(dynamics[i]) >
+                             static_cast<float>(statics[i]);
       any |= dynamic[i] || observed_free[i];
     }
   }
@@ -61,26 +61,28 @@ struct Object {
   bool has_isolated = false;
   float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
 
-  bool moves(const ObjectParameters& p) const {
+  bool moves(const ClassificationOptions& options) const {
     const auto found = static_cast<float>(dynamic);
-    return points >= p.min_object_points && found >= p.dynamic_share * static_cast<float>(voted) &&
-           found >= p.min_dynamic_share * static_cast<float>(points);
+    return points >= options.min_object_points &&
+           found >= options.dynamic_share * static_cast<float>(voted) &&
+           found >= options.min_dynamic_share * static_cast<float>(points);
   }
   /// Whether it is dynamic but stands for a while. Objects with isolated returns are left out: rays
   /// pass through twigs and fences, so that these are observed free now and then.
-  bool stands(const ObjectParameters& p) const {
+  bool stands(const ClassificationOptions& options) const {
     const float x = high[0] - low[0], y = high[1] - low[1];
-    return points >= p.min_object_points && !has_isolated &&
-           high[2] - low[2] >= p.min_object_height &&
-           x * x + y * y >= p.min_object_width * p.min_object_width &&
-           static_cast<float>(observed_free) >= p.observed_free_share * static_cast<float>(points);
+    return points >= options.min_object_points && !has_isolated &&
+           high[2] - low[2] >= options.min_object_height &&
+           x * x + y * y >= options.min_object_width * options.min_object_width &&
+           static_cast<float>(observed_free) >=
+               options.observed_free_share * static_cast<float>(points);
   }
 };
 
 /// Finds whether a marked point is near, by cells of that size.
-class MarkedNeighbors {
+class MarkedPoints {
  public:
-  MarkedNeighbors(const Points& points, const Flags& marked, float distance)
+  MarkedPoints(const Points& points, const Flags& marked, float distance)
       : points_(points), distance_(distance) {
     for (std::uint32_t i = 0; i < marked.size(); ++i)
       if (marked[i]) cells_[key(cell(i, 0), cell(i, 1), cell(i, 2))].push_back(i);
@@ -115,11 +117,11 @@ class MarkedNeighbors {
 /// rise like an object: voting is so exact above a level plane that a bump of it seems to have been
 /// free.
 Flags confirmed_points(const Points& points, const bool* ground, const ScanMesh& mesh,
-                       const Flags& dynamic, const ObjectParameters& p) {
+                       const Flags& dynamic, const ClassificationOptions& options) {
   DisjointSets joined(dynamic.size());
   const auto is_dynamic = [&](std::uint32_t i) { return dynamic[i] != 0; };
-  join_corners(points, mesh, false, p.cluster_distance, p.cluster_distance_growth, is_dynamic,
-               joined);
+  join_corners(points, mesh, false, options.clustering.distance, options.clustering.distance_growth,
+               is_dynamic, joined);
   const auto first = joined.first();
   struct Cluster {
     int points = 0, above_ground = 0;
@@ -138,16 +140,16 @@ Flags confirmed_points(const Points& points, const bool* ground, const ScanMesh&
   for (std::size_t i = 0; i < first.size(); ++i) {
     if (!dynamic[i]) continue;
     const Cluster& cluster = clusters[first[i]];
-    const bool rises = cluster.high - cluster.low >= p.min_object_height;
-    result[i] = (rises ? cluster.points : cluster.above_ground) >= p.min_cluster_size;
+    const bool rises = cluster.high - cluster.low >= options.min_object_height;
+    result[i] = (rises ? cluster.points : cluster.above_ground) >= options.min_cluster_size;
   }
   return result;
 }
 
 /// Add all points of dynamic objects, except those of static things that are connected to them.
 void add_objects(const Points& points, const bool* ground, const std::uint32_t* first,
-                 const ScanMesh& mesh, const Evidence& evidence, const ObjectParameters& p,
-                 Flags& dynamic) {
+                 const ScanMesh& mesh, const Evidence& evidence,
+                 const ClassificationOptions& options, Flags& dynamic) {
   const std::size_t count = dynamic.size();
   ByObject<Object> objects(count);
   for (std::size_t i = 0; i < count; ++i) {
@@ -167,7 +169,8 @@ void add_objects(const Points& points, const bool* ground, const std::uint32_t* 
   for (std::size_t i = 0; i < count; ++i) {
     if (ground[i]) continue;
     const Object& object = objects[first[i]];
-    if (object.moves(p) ? !evidence.observed_occupied[i] : object.stands(p)) dynamic[i] = 1;
+    if (object.moves(options) ? !evidence.observed_occupied[i] : object.stands(options))
+      dynamic[i] = 1;
   }
 }
 
@@ -177,27 +180,27 @@ std::vector<std::uint8_t> classify_objects(const Points& points, const bool* gro
                                            const std::uint32_t* objects,
                                            const std::uint16_t* static_votes,
                                            const std::uint16_t* dynamic_votes, const ScanMesh& mesh,
-                                           const ObjectParameters& p) {
+                                           const ClassificationOptions& options) {
   const auto count = static_cast<std::size_t>(points.rows());
-  const Evidence evidence(count, static_votes, dynamic_votes, p);
+  const Evidence evidence(count, static_votes, dynamic_votes, options);
   if (!evidence.any) return evidence.dynamic;
-  Flags dynamic = confirmed_points(points, ground, mesh, evidence.dynamic, p);
-  add_objects(points, ground, objects, mesh, evidence, p, dynamic);
+  Flags dynamic = confirmed_points(points, ground, mesh, evidence.dynamic, options);
+  add_objects(points, ground, objects, mesh, evidence, options, dynamic);
 
-  const MarkedNeighbors confirmed(points, dynamic, p.neighbor_radius);
+  const MarkedPoints confirmed(points, dynamic, options.neighbor_radius);
   for (std::uint32_t i = 0; i < count; ++i) {
     if (dynamic[i] || !evidence.dynamic[i]) continue;
-    const bool clear = !ground[i] && dynamic_votes[i] >= p.clear_votes &&
-                       static_cast<float>(dynamic_votes[i]) > p.clear_ratio * static_votes[i];
+    const bool clear = !ground[i] && dynamic_votes[i] >= options.clear_votes &&
+                       static_cast<float>(dynamic_votes[i]) > options.clear_ratio * static_votes[i];
     dynamic[i] = clear || confirmed.has_near(i);
   }
-  add_isolated_points(points, ground, objects, static_votes, dynamic_votes, p, dynamic);
+  add_isolated_points(points, ground, objects, static_votes, dynamic_votes, dynamic, options);
   return dynamic;
 }
 
 void add_isolated_points(const Points& points, const bool* ground, const std::uint32_t* objects,
                          const std::uint16_t* static_votes, const std::uint16_t* dynamic_votes,
-                         const ObjectParameters& p, Flags& dynamic) {
+                         Flags& dynamic, const ClassificationOptions& options) {
   const std::size_t count = dynamic.size();
   struct Whole {
     std::uint32_t points = 0, dynamic = 0;
@@ -214,12 +217,12 @@ void add_isolated_points(const Points& points, const bool* ground, const std::ui
   }
   std::vector<Extent> boxes;
   for (const Whole& object : wholes.values())
-    if (int(object.points) >= p.min_object_points && 2 * object.dynamic >= object.points &&
+    if (int(object.points) >= options.min_object_points && 2 * object.dynamic >= object.points &&
         object.extent.width() <= kMaxObjectWidth)
       boxes.push_back(object.extent);
   for (std::size_t i = 0; i < count; ++i) {
     if (dynamic[i] || ground[i] || wholes[objects[i]].points >= kMinDetectionPoints) continue;
-    if (static_votes[i] > dynamic_votes[i] + p.isolated_votes) continue;
+    if (static_votes[i] > dynamic_votes[i] + options.isolated_votes) continue;
     dynamic[i] = std::any_of(boxes.begin(), boxes.end(),
                              [&](const Extent& box) { return box.overlaps(at(i), kObjectMargin); });
   }

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "docdepth/detections/constants.hpp"
 #include "docdepth/detections/quantile.hpp"
 #include "docdepth/geometry/rigid.hpp"
 
@@ -11,6 +10,32 @@ namespace docdepth {
 namespace {
 
 using Vector = Eigen::Vector3f;
+
+/// With a larger share of isolated returns an object is porous: rays pass through twigs and fences.
+constexpr float kMaxIsolatedShare = 0.1f;
+/// What is higher than a van, or higher than a car and longer than a van [m], has more samples than
+/// kMaxSamples that are so far apart [m], up to 500: farther apart, those of a lorry miss those of
+/// the next sweep by more than kMatchDistance where each sweep sees other parts of it. A row of
+/// parked cars needs no more, and with them the car that arrives takes its neighbors along; a van
+/// and the car beside it are 8 m long.
+constexpr float kMaxCarHeight = 2.2f;
+constexpr float kMaxVanHeight = 2.8f;
+constexpr float kMaxVanLength = 10.0f;
+constexpr float kMaxSampleSpacing = 0.33f;
+/// Spacing of the samples of objects wider than kMaxObjectWidth [m].
+constexpr float kWideSampleSpacing = 0.25f;
+/// An object borders on what is this much nearer or farther [m].
+constexpr float kMinBorderDepth = 0.5f;
+/// The samples of its borders are so far apart [m], and at most so many are kept.
+constexpr float kBorderSpacing = 0.1f;
+constexpr std::size_t kMaxBorderSamples = 30;
+
+/// Whether an object is as large as a lorry or a bus.
+bool is_large(const Extent& box) {
+  const Vector size = box.size();
+  return size.z() > kMaxVanHeight ||
+         (size.z() > kMaxCarHeight && size.head<2>().maxCoeff() > kMaxVanLength);
+}
 
 /// Samples of samples where each size would start from the points again: much faster, and as even.
 TimedSurface sample(const TimedSurface& surface, const Extent& box) {
@@ -58,9 +83,10 @@ std::vector<std::uint8_t> borders_of(const Points& points, const PointEvidence& 
 }
 
 /// When the places of an object were occupied, by the first and last sweeps of its points.
-void find_stay(const std::vector<std::int32_t>& firsts, const std::vector<std::int32_t>& lasts,
-               Detection& object) {
-  object.first_occupied = quantile(firsts, 0.5), object.last_occupied = quantile(lasts, 0.5);
+void find_occupancy(const std::vector<std::int32_t>& firsts, const std::vector<std::int32_t>& lasts,
+                    Detection& object) {
+  object.first_occupied = quantile(firsts, 0.5);
+  object.last_occupied = quantile(lasts, 0.5);
   object.stands_since = quantile(firsts, kStandingShare);
   object.stands_until = quantile(lasts, 1 - kStandingShare);
 }
@@ -68,17 +94,21 @@ void find_stay(const std::vector<std::int32_t>& firsts, const std::vector<std::i
 /// How high the ground is under each object.
 void find_ground(const Points& points, const bool* ground, const RigidTransform& T_world_lidar,
                  Detections& detections) {
-  const GroundHeights heights(points, ground, T_world_lidar);
+  const GroundGrid heights(points, ground, T_world_lidar);
   for (Detection& object : detections)
     if (object.box.width() <= kMaxObjectWidth) object.ground = heights.under(object.box);
 }
 
 }  // namespace
 
+float largest_spacing(const Extent& box) {
+  return is_large(box) ? kMaxSampleSpacing : INFINITY;
+}
+
 Detections detect_objects(const Points& points, const PointEvidence& evidence, const ScanMesh& mesh,
                           const Pose& T_world_lidar) {
-  const auto& [ground, objects, dynamic, one_stay, first_occupied, last_occupied, time_offset] =
-      evidence;
+  const auto& [ground, objects, dynamic, occupied_once, first_occupied, last_occupied,
+               time_offset] = evidence;
   const auto count = static_cast<std::uint32_t>(points.rows());
   constexpr std::uint32_t kUnseen = 0xffffffff;
   std::vector<std::uint32_t> size(count, 0), number(count, kUnseen);
@@ -103,13 +133,21 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
       detections.emplace_back();
       detections.back().first = first;
       detections.back().box = {p, p};
-      members.emplace_back(), porous.push_back(0), firsts.emplace_back(), lasts.emplace_back();
+      members.emplace_back();
+      porous.push_back(0);
+      firsts.emplace_back();
+      lasts.emplace_back();
     }
     Detection& object = detections[number[first]];
     const float area = here.squaredNorm();
-    ++object.points, object.area += area, object.middle += here;
-    if (dynamic[i]) ++object.dynamic, object.dynamic_area += area;
-    if (one_stay[i]) object.free_area += area;
+    ++object.points;
+    object.area += area;
+    object.middle += here;
+    if (dynamic[i]) {
+      ++object.dynamic_points;
+      object.dynamic_area += area;
+    }
+    if (occupied_once[i]) object.free_area += area;
     porous[number[first]] += isolated[i];
     const float time = time_offset ? time_offset[i] : 0;
     object.time_offset += time;
@@ -125,7 +163,7 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
     detections[k].middle /= float(detections[k].points);
     if (float(porous[k]) > kMaxIsolatedShare * float(detections[k].points))
       detections[k].free_area = 0;
-    find_stay(firsts[k], lasts[k], detections[k]);
+    find_occupancy(firsts[k], lasts[k], detections[k]);
     for (TimedPoints* border : {&detections[k].edges, &detections[k].hidden})
       *border = downsample(*border, kBorderSpacing, kMaxBorderSamples);
     detections[k].surface = sample(members[k], detections[k].box);

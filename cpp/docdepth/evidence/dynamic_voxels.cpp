@@ -4,10 +4,17 @@
 #include <cmath>
 #include <unordered_map>
 
-#include "docdepth/detections/constants.hpp"
+#include "docdepth/tracking/constants.hpp"
 
 namespace docdepth {
 namespace {
+
+/// Edge of a voxel [m].
+constexpr float kDynamicVoxelSize = 1.0f;
+/// A dynamic voxel has at least this many dynamic samples,
+constexpr int kMinDynamicSamples = 3;
+/// and they are more than this share of its samples.
+constexpr float kMinDynamicSampleShare = 0.6f;
 
 struct SampleCount {
   int dynamic = 0, fixed = 0;
@@ -31,7 +38,7 @@ std::vector<std::uint64_t> dynamic_voxels(
     for (std::size_t i = first; i < first + around.size(); ++i) {
       if (i == sweep || std::fabs(times[i] - times[sweep]) > window + kTimeTolerance) continue;
       for (const Detection& object : *around[i - first]) {
-        if ((object.is_dynamic() || tracked[i].claims(object.first)) != dynamic) continue;
+        if ((object.is_dynamic() || tracked[i].makes_dynamic(object.first)) != dynamic) continue;
         for (const Eigen::Vector3f& sample : object.samples()) {
           if (dynamic) {
             ++counts[voxel_of(sample)].dynamic;

@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "docdepth/detections/parameters.hpp"
+#include "docdepth/detections/classification.hpp"
 #include "docdepth/geometry/oriented_box.hpp"
 #include "docdepth/geometry/types.hpp"
 
@@ -17,7 +17,7 @@ namespace docdepth {
 void add_points_inside(const Points& points, const bool* ground, const std::uint16_t* static_votes,
                        const std::uint16_t* dynamic_votes, const Pose& T_world_lidar,
                        const std::vector<OrientedBox>& boxes,
-                       const std::vector<std::uint64_t>& voxels, const ObjectParameters& parameters,
-                       std::vector<std::uint8_t>& dynamic);
+                       const std::vector<std::uint64_t>& voxels, std::vector<std::uint8_t>& dynamic,
+                       const ClassificationOptions& options = {});
 
 }  // namespace docdepth

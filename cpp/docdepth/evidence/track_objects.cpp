@@ -2,16 +2,18 @@
 
 #include <algorithm>
 #include <cmath>
-#include <deque>
+#include <functional>
 #include <memory>
+#include <span>
+#include <utility>
+#include <variant>
 
-#include "docdepth/detections/constants.hpp"
 #include "docdepth/evidence/dynamic_voxels.hpp"
-#include "docdepth/evidence/followed.hpp"
-#include "docdepth/evidence/parts.hpp"
+#include "docdepth/evidence/fragments.hpp"
+#include "docdepth/evidence/object_track.hpp"
 #include "docdepth/evidence/track_evidence.hpp"
 #include "docdepth/geometry/parallel.hpp"
-#include "docdepth/tracking/neighbors.hpp"
+#include "docdepth/tracking/constants.hpp"
 #include "docdepth/tracking/tracker.hpp"
 
 namespace docdepth {
@@ -19,11 +21,14 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
-using Boxes = std::vector<std::pair<std::size_t, TrackBox>>;  ///< by sweep
-using Members = std::vector<std::pair<std::size_t, Member>>;  ///< by sweep
+/// So many tracks are made into paths at once.
+constexpr std::size_t kTracksAtOnce = 32;
+
+using Boxes = std::vector<std::pair<std::size_t, TrackedBox>>;  ///< by sweep
+using Members = std::vector<std::pair<std::size_t, Member>>;    ///< by sweep
 
 /// Sweeps that are in memory, from `first` on.
-struct HeldSweeps {
+struct SweepBuffer {
   std::size_t first = 0;
   std::vector<std::shared_ptr<const Detections>> detections;
 
@@ -31,9 +36,9 @@ struct HeldSweeps {
   const Detections& operator[](std::size_t sweep) const { return *detections[sweep - first]; }
 };
 
-/// Where the object of a track is in the sweeps in which that is known.
-Boxes boxes_of(const Track& track, const TrackPath& path, std::uint32_t number,
-               const std::vector<double>& times) {
+/// Where an object is in the sweeps in which that is known.
+Boxes boxes_of(const ObjectTrack& object, std::uint32_t number, const std::vector<double>& times) {
+  const auto& [track, path] = object;
   Boxes boxes;
   std::size_t first = track.observations.front().sweep, last = track.observations.back().sweep;
   while (first > 0 && path.covers(times[first - 1])) --first;
@@ -46,12 +51,12 @@ Boxes boxes_of(const Track& track, const TrackPath& path, std::uint32_t number,
 
 /// The sweeps in which a track may have detections.
 struct Reach {
-  std::size_t first, last;
+  std::size_t first = 0, last = 0;
 };
 
-Reach reach_of(const TrackEvidence& evidence, const Track& track,
-               const std::vector<double>& times) {
-  std::size_t first = track.observations.front().sweep, last = track.observations.back().sweep;
+Reach reach_of(const TrackEvidence& evidence, const std::vector<double>& times) {
+  const auto& observations = evidence.object().track.observations;
+  std::size_t first = observations.front().sweep, last = observations.back().sweep;
   if (evidence.stands_before()) first = 0;
   if (evidence.stands_after()) last = times.size() - 1;
   while (first > 0 && evidence.covers(times[first - 1])) --first;
@@ -60,62 +65,68 @@ Reach reach_of(const TrackEvidence& evidence, const Track& track,
 }
 
 /// The detections of some sweeps that belong to a track, in order. Sweeps are asked in order, too.
-Members members_of(TrackEvidence& evidence, const Track& track, std::uint32_t number,
-                   const Reach& reach, const HeldSweeps& sweeps, std::size_t begin,
-                   const std::vector<double>& times) {
+/// @param tracked  of all sweeps, with the boxes of all tracks
+Members members_of(TrackEvidence& evidence, const Reach& reach, const SweepBuffer& sweeps,
+                   std::size_t begin, const std::vector<double>& times,
+                   const std::vector<TrackedSweep>& tracked) {
+  const auto& observations = evidence.object().track.observations;
   Members members;
   const std::size_t first = std::max(reach.first, begin),
                     end = std::min(reach.last + 1, sweeps.end());
   const auto before = [](const TrackObservation& seen, std::size_t i) { return seen.sweep < i; };
-  auto seen = std::lower_bound(track.observations.begin(), track.observations.end(), first, before);
+  auto seen = std::lower_bound(observations.begin(), observations.end(), first, before);
   for (std::size_t i = first; i < end; ++i) {
-    while (seen != track.observations.end() && seen->sweep < i) ++seen;
-    const bool is_seen = seen != track.observations.end() && seen->sweep == i;
+    while (seen != observations.end() && seen->sweep < i) ++seen;
+    const bool is_seen = seen != observations.end() && seen->sweep == i;
     if (!is_seen && !evidence.covers(times[i])) continue;
-    const Detections& objects = sweeps[i];
+    const Detections& detections = sweeps[i];
     std::vector<std::pair<const Detection*, bool>> found;
     const Detection* best = nullptr;  // of whose place most was free before or after
-    for (std::uint32_t k = 0; k < objects.size(); ++k) {
+    for (std::uint32_t k = 0; k < detections.size(); ++k) {
       const bool is_member = is_seen && std::find(seen->objects.begin(), seen->objects.end(), k) !=
                                             seen->objects.end();
-      const bool claimed = evidence.claims(i, objects[k], is_member);
-      if (!is_member && !claimed) continue;
-      found.push_back({&objects[k], claimed});
-      if (!best || objects[k].passing_area() > best->passing_area()) best = &objects[k];
+      const bool dynamic = evidence.makes_dynamic(times[i], detections[k], is_member, tracked);
+      if (!is_member && !dynamic) continue;
+      found.push_back({&detections[k], dynamic});
+      if (!best || detections[k].transient_area() > best->transient_area()) best = &detections[k];
     }
-    for (const auto& [object, claimed] : found)
-      members.push_back(
-          {i, {object->first, number, claimed && !evidence.are_apart(i, *object, *best)}});
+    for (const auto& [object, dynamic] : found)
+      members.push_back({i,
+                         {object->first, evidence.number(),
+                          dynamic && !evidence.are_apart(times[i], *object, *best)}});
   }
   return members;
 }
 
 /// Boxes reach down to the ground, since feet and wheels are often hidden: if more of the object
 /// was seen than is missing below.
-TrackedObject object_of(const Track& track, const TrackPath& path,
-                        const std::vector<double>& times) {
+TrackedObject object_of(const ObjectTrack& object, const std::vector<double>& times) {
+  const auto& [track, path] = object;
   Extent extent = path.extent();
   if (path.has_ground() && extent.low.z() < extent.size().z())
     extent.low.z() = std::min(extent.low.z(), 0.0f);
   const Vector middle = 0.5f * (extent.low + extent.high);
-  TrackedObject object{{}, extent.size(), path.is_rigid()};
+  TrackedObject tracked{.size = extent.size(), .rigid = path.is_rigid()};
   for (std::size_t n = 0; n < track.observations.size(); ++n) {
     const TrackObservation& seen = track.observations[n];
     Pose T = path.pose(times[seen.sweep]);
     T.translate(Vector(middle.x(), middle.y(), extent.low.z()).cast<double>());
-    object.places.push_back({std::uint32_t(seen.sweep), seen.points, T,
-                             path.velocity(times[seen.sweep]), path.deviation(n),
-                             path.surface_deviation(n)});
+    tracked.places.push_back({.sweep = std::uint32_t(seen.sweep),
+                              .points = seen.points,
+                              .T_world_object = T,
+                              .velocity = path.velocity(times[seen.sweep]),
+                              .deviation = path.deviation(n),
+                              .surface_deviation = path.surface_deviation(n)});
   }
-  return object;
+  return tracked;
 }
 
-/// The part of a track from one observation up to another.
-Track part_of(const Track& track, std::size_t begin, std::size_t end) {
+/// A track from one observation up to another.
+Track slice(const Track& track, std::size_t begin, std::size_t end) {
   Track part;
   part.observations.assign(track.observations.begin() + std::ptrdiff_t(begin),
                            track.observations.begin() + std::ptrdiff_t(end));
-  for (const TrackObservation& seen : part.observations) part.dynamic += seen.dynamic;
+  for (const TrackObservation& seen : part.observations) part.transient_count += seen.is_transient;
   return part;
 }
 
@@ -123,12 +134,12 @@ Track part_of(const Track& track, std::size_t begin, std::size_t end) {
 struct SeenTrack {
   std::size_t number;  ///< among all
   Track track;
-  std::vector<SeenSurface> surfaces;
+  std::vector<ObservedSurface> surfaces;
 };
 
 /// What an observation saw, and when.
-SeenSurface surface_of(const TrackObservation& seen, const Detections& detections) {
-  SeenSurface surface;
+ObservedSurface surface_of(const TrackObservation& seen, const Detections& detections) {
+  ObservedSurface surface;
   const auto append = [&](SampledPoints& points, std::vector<float>& times,
                           const SampledPoints& more, const std::vector<float>& more_times) {
     points.insert(points.end(), more.begin(), more.end());
@@ -146,109 +157,123 @@ SeenSurface surface_of(const TrackObservation& seen, const Detections& detection
 }
 
 /// The track, cut where its surfaces say that it went on with another object, in order of time.
-Paths cut(SeenTrack& whole, const std::vector<double>& times, const TrackParameters& p) {
-  Paths single;
+std::vector<ObjectTrack> cut(SeenTrack whole, const std::vector<double>& times,
+                             const TrackingOptions& options) {
+  std::vector<ObjectTrack> single;
   std::vector<std::pair<Track, std::size_t>> open;  // and its first observation in the whole
   open.emplace_back(std::move(whole.track), 0);
   while (!open.empty()) {
-    auto [next, first] = std::move(open.back());
+    auto [track, first] = std::move(open.back());
     open.pop_back();
-    if (next.dynamic < p.min_detections) continue;
-    auto part =
-        std::make_unique<const TrackAndPath>(std::move(next), &whole.surfaces[first], times, p);
-    const auto& [track, path] = *part;
-    if (path.is_one_object()) {
-      single.push_back(std::move(part));
+    if (track.transient_count < options.min_detections) continue;
+    const std::size_t count = track.observations.size();
+    auto estimate = estimate_path(track, std::span(whole.surfaces).subspan(first, count), times);
+    if (auto* path = std::get_if<Path>(&estimate)) {
+      single.push_back({std::move(track), TrackPath(std::move(*path), options)});
       continue;
     }
     // In order of time: the earliest part is taken out first.
-    const std::size_t count = track.observations.size();
-    if (path.end() < count)
-      open.emplace_back(part_of(track, path.end(), count), first + path.end());
-    open.emplace_back(part_of(track, path.begin(), path.end()), first + path.begin());
-    if (path.begin() > 0) open.emplace_back(part_of(track, 0, path.begin()), first);
+    const auto [begin, end] = std::get<Cut>(estimate);
+    if (end < count) open.emplace_back(slice(track, end, count), first + end);
+    open.emplace_back(slice(track, begin, end), first + begin);
+    if (begin > 0) open.emplace_back(slice(track, 0, begin), first);
   }
   return single;
 }
 
-/// Tracks with enough dynamic observations, cut into single objects. Surfaces are kept from the
+/// Tracks with enough transient observations, cut into single objects. Surfaces are kept from the
 /// first observation of a track to its last.
-Paths single_objects(std::vector<Track> tracks, DetectionWindow& detections,
-                     const std::vector<double>& times, const TrackParameters& p, int threads) {
+std::vector<ObjectTrack> single_objects(std::vector<Track> tracks, const ReadDetections& read,
+                                        const std::vector<double>& times,
+                                        const TrackingOptions& options, int threads) {
   std::vector<std::vector<std::size_t>> begin(times.size());  // tracks by their first sweep
   for (std::size_t k = 0; k < tracks.size(); ++k)
-    if (tracks[k].dynamic >= p.min_detections)
+    if (tracks[k].transient_count >= options.min_detections)
       begin[tracks[k].observations.front().sweep].push_back(k);
     else
       tracks[k] = {};
-  std::vector<Paths> parts(tracks.size());
+  std::vector<std::vector<ObjectTrack>> parts(tracks.size());
   std::vector<SeenTrack> open, whole;
-  const auto follow = [&] {
+  const auto estimate_paths = [&] {
     parallel_for(whole.size(), 1, threads, [&](std::size_t k, std::size_t) {
-      parts[whole[k].number] = cut(whole[k], times, p);
+      parts[whole[k].number] = cut(std::move(whole[k]), times, options);
     });
     whole.clear();
   };
   for (std::size_t i = 0; i < times.size(); ++i) {
     for (const std::size_t k : begin[i]) open.push_back({k, std::move(tracks[k]), {}});
+    const auto is_seen = [&](const SeenTrack& seen) {
+      return seen.track.observations[seen.surfaces.size()].sweep == i;
+    };
+    if (std::none_of(open.begin(), open.end(), is_seen)) continue;
+    const auto detections = read(i);
     for (SeenTrack& seen : open) {
       const auto& observations = seen.track.observations;
-      if (observations[seen.surfaces.size()].sweep != i) continue;
-      seen.surfaces.push_back(surface_of(observations[seen.surfaces.size()], detections[i]));
+      if (!is_seen(seen)) continue;
+      seen.surfaces.push_back(surface_of(observations[seen.surfaces.size()], *detections));
       if (seen.surfaces.size() == observations.size()) whole.push_back(std::move(seen));
     }
     const auto is_whole = [](const SeenTrack& seen) { return seen.track.observations.empty(); };
     open.erase(std::remove_if(open.begin(), open.end(), is_whole), open.end());
-    if (whole.size() >= kTracksAtOnce) follow();
+    if (whole.size() >= kTracksAtOnce) estimate_paths();
   }
-  follow();
-  Paths single;
-  for (Paths& of : parts)
-    for (auto& part : of) single.push_back(std::move(part));
+  estimate_paths();
+  std::vector<ObjectTrack> single;
+  for (auto& of : parts)
+    for (ObjectTrack& part : of) single.push_back(std::move(part));
   return single;
 }
 
 /// Finds what belongs to the tracks, from the first sweep to the last.
 class SweepTracker {
  public:
-  SweepTracker(const Paths& followed, const std::vector<double>& times, const TrackParameters& p,
-               int threads)
-      : followed_(followed),
-        times_(times),
-        p_(p),
+  SweepTracker(std::vector<ObjectTrack> objects, std::vector<double> times,
+               const TrackingOptions& options, int threads)
+      : times_(std::move(times)),
+        window_(options.window),
         threads_(threads),
-        evidence_(followed.size()),
-        reach_(followed.size()),
-        begin_(times.size()),
-        result_(times.size()) {
-    std::vector<Boxes> boxes(followed.size());
-    parallel_for(followed.size(), 1, threads, [&](std::size_t k, std::size_t) {
-      const auto& [track, path] = *followed[k];
-      const auto number = std::uint32_t(k + 1);
-      evidence_[k] = std::make_unique<TrackEvidence>(*followed[k], number, times, p, result_);
-      if (p.window > 0 && !is_rail(*followed[k])) boxes[k] = boxes_of(track, path, number, times);
-      reach_[k] = reach_of(*evidence_[k], track, times);
+        reach_(objects.size()),
+        begin_(times_.size()),
+        result_(times_.size()) {
+    for (ObjectTrack& object : objects)
+      evidence_.emplace_back(std::move(object), std::uint32_t(evidence_.size() + 1), times_,
+                             options);
+    std::vector<Boxes> boxes(evidence_.size());
+    parallel_for(evidence_.size(), 1, threads, [&](std::size_t k, std::size_t) {
+      const TrackEvidence& evidence = evidence_[k];
+      if (window_ > 0 && !is_rail(evidence.object()))
+        boxes[k] = boxes_of(evidence.object(), evidence.number(), times_);
+      reach_[k] = reach_of(evidence, times_);
     });
     for (const Boxes& of : boxes)
       for (const auto& [sweep, box] : of) result_[sweep].boxes.push_back(box);
-    for (std::size_t k = 0; k < followed.size(); ++k) begin_[reach_[k].first].push_back(k);
+    for (std::size_t k = 0; k < evidence_.size(); ++k) begin_[reach_[k].first].push_back(k);
   }
 
-  void run(const ReadDetections& read, const TakeSweep& take, std::size_t held) {
-    while (held_.end() < times_.size()) {
-      const std::size_t begin = held_.end();
-      const std::size_t end = std::min(times_.size(), begin + held);
-      for (std::size_t i = begin; i < end; ++i) held_.detections.push_back(read(i));
+  void run(const ReadDetections& read, const TakeSweep& take, std::size_t buffer_size) {
+    while (buffer_.end() < times_.size()) {
+      const std::size_t begin = buffer_.end();
+      const std::size_t end = std::min(times_.size(), begin + buffer_size);
+      for (std::size_t i = begin; i < end; ++i) buffer_.detections.push_back(read(i));
       find_members(begin);
       find_voxels();
       for (; given_ < found_; ++given_) take(result_[given_]);
-      forget();
+      drop_past();
     }
+  }
+
+  std::vector<TrackedObject> objects() const {
+    std::vector<TrackedObject> objects(evidence_.size());
+    parallel_for(evidence_.size(), 16, threads_, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t k = begin; k < end; ++k)
+        objects[k] = object_of(evidence_[k].object(), times_);
+    });
+    return objects;
   }
 
  private:
   void find_members(std::size_t begin) {
-    const std::size_t end = held_.end();
+    const std::size_t end = buffer_.end();
     const auto is_past = [&](std::size_t k) { return reach_[k].last < begin; };
     active_.erase(std::remove_if(active_.begin(), active_.end(), is_past), active_.end());
     for (std::size_t i = begin; i < end; ++i)
@@ -257,8 +282,7 @@ class SweepTracker {
     std::vector<Members> members(active_.size());
     parallel_for(active_.size(), 1, threads_, [&](std::size_t n, std::size_t) {
       const std::size_t k = active_[n];
-      members[n] = members_of(*evidence_[k], followed_[k]->track, std::uint32_t(k + 1), reach_[k],
-                              held_, begin, times_);
+      members[n] = members_of(evidence_[k], reach_[k], buffer_, begin, times_, result_);
     });
     for (const Members& of : members)
       for (const auto& [sweep, member] : of) result_[sweep].members.push_back(member);
@@ -268,78 +292,76 @@ class SweepTracker {
   }
 
   bool is_within(std::size_t earlier, std::size_t later) const {
-    return times_[later] - times_[earlier] <= p_.window + kTimeTolerance;
+    return times_[later] - times_[earlier] <= window_ + kTimeTolerance;
   }
 
   /// Of the sweeps whose window has been read.
   void find_voxels() {
-    const std::size_t begin = found_, end = held_.end();
+    const std::size_t begin = found_, end = buffer_.end();
     while (found_ < end && (end == times_.size() || !is_within(found_, end - 1))) ++found_;
     parallel_for(found_ - begin, 1, threads_, [&](std::size_t n, std::size_t) {
       result_[begin + n].voxels =
-          dynamic_voxels(begin + n, held_.first, held_.detections, times_, result_, p_.window);
+          dynamic_voxels(begin + n, buffer_.first, buffer_.detections, times_, result_, window_);
     });
   }
 
-  /// Let go of sweeps that no later one needs; their boxes stay.
-  void forget() {
+  /// Drop the sweeps that no later one needs; their boxes stay.
+  void drop_past() {
     std::size_t past = 0;
-    while (held_.first + past < found_ &&
-           (found_ == times_.size() || !is_within(held_.first + past, found_))) {
-      result_[held_.first + past].members = {}, result_[held_.first + past].voxels = {};
+    while (buffer_.first + past < found_ &&
+           (found_ == times_.size() || !is_within(buffer_.first + past, found_))) {
+      result_[buffer_.first + past].members = {};
+      result_[buffer_.first + past].voxels = {};
       ++past;
     }
-    held_.detections.erase(held_.detections.begin(),
-                           held_.detections.begin() + std::ptrdiff_t(past));
-    held_.first += past;
+    buffer_.detections.erase(buffer_.detections.begin(),
+                             buffer_.detections.begin() + std::ptrdiff_t(past));
+    buffer_.first += past;
   }
 
-  const Paths& followed_;
-  const std::vector<double>& times_;
-  const TrackParameters& p_;
-  const int threads_;
-  std::vector<std::unique_ptr<TrackEvidence>> evidence_;
+  std::vector<double> times_;
+  double window_;  ///< of TrackingOptions [s]
+  int threads_;
+  std::vector<TrackEvidence> evidence_;
   std::vector<Reach> reach_;
   std::vector<std::vector<std::size_t>> begin_;  ///< tracks by the first sweep in reach
   std::vector<std::size_t> active_;              ///< tracks in reach of the sweeps in hand
   std::vector<TrackedSweep> result_;
-  HeldSweeps held_;
-  std::size_t found_ = 0, given_ = 0;  ///< sweeps whose voxels are known; that were handed out
+  SweepBuffer buffer_;
+  std::size_t found_ = 0;  ///< sweeps whose voxels are known
+  std::size_t given_ = 0;  ///< sweeps that were handed out
 };
 
 }  // namespace
 
-bool TrackedSweep::claims(std::uint32_t first) const {
+bool TrackedSweep::makes_dynamic(std::uint32_t first) const {
   const auto before = [](const Member& member, std::uint32_t row) { return member.first < row; };
   auto member = std::lower_bound(members.begin(), members.end(), first, before);
   for (; member != members.end() && member->first == first; ++member)
-    if (member->dynamic) return true;
+    if (member->is_dynamic) return true;
   return false;
 }
 
 std::vector<TrackedObject> track_objects(const ReadDetections& read,
-                                         const std::vector<double>& times, const TrackParameters& p,
-                                         int threads, const TakeSweep& take, std::size_t held) {
-  Paths followed;
+                                         const std::vector<double>& times, int threads,
+                                         const TakeSweep& take, std::size_t buffer_size,
+                                         const TrackingOptions& options) {
+  std::vector<ObjectTrack> objects;
   {
-    DetectionWindow detections(read, held);
+    DetectionWindow window(read, buffer_size);
     const auto add_moving = [&](std::vector<Track> tracks) {
-      for (auto& one : single_objects(std::move(tracks), detections, times, p, threads))
-        if (moves(*one, times, p)) followed.push_back(std::move(one));
+      for (auto& one : single_objects(std::move(tracks), std::ref(window), times, options, threads))
+        if (moves(one, times, options)) objects.push_back(std::move(one));
     };
-    add_moving(follow_objects(detections, times, p));
-    add_moving(join_parts(followed, times, p));
-    std::stable_sort(followed.begin(), followed.end(), [](const auto& a, const auto& b) {
-      return a->track.observations.size() > b->track.observations.size();
-    });
+    add_moving(follow_objects(std::ref(window), times, options));
+    add_moving(merge_fragments(objects, times, options));
   }
-  SweepTracker(followed, times, p, threads).run(read, take, held);
-  std::vector<TrackedObject> objects(followed.size());
-  parallel_for(followed.size(), 16, threads, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t k = begin; k < end; ++k)
-      objects[k] = object_of(followed[k]->track, followed[k]->path, times);
+  std::stable_sort(objects.begin(), objects.end(), [](const auto& a, const auto& b) {
+    return a.track.observations.size() > b.track.observations.size();
   });
-  return objects;
+  SweepTracker tracker(std::move(objects), times, options, threads);
+  tracker.run(read, take, buffer_size);
+  return tracker.objects();
 }
 
 }  // namespace docdepth

@@ -7,9 +7,9 @@
 #include <vector>
 
 #include "docdepth/detections/detections.hpp"
-#include "docdepth/paths/track_path.hpp"
+#include "docdepth/geometry/oriented_box.hpp"
 #include "docdepth/tracking/detection_window.hpp"
-#include "docdepth/tracking/parameters.hpp"
+#include "docdepth/tracking/options.hpp"
 
 namespace docdepth {
 
@@ -17,24 +17,24 @@ namespace docdepth {
 struct Member {
   std::uint32_t first;  ///< row of its first point
   std::uint32_t track;  ///< number of the track, from 1
-  bool dynamic;         ///< whether the track makes it dynamic
+  bool is_dynamic;      ///< whether the track makes it dynamic
 };
 
 /// Where an object that moves at some time is in a sweep, detected or not.
-struct TrackBox {
-  std::uint32_t track;
-  bool moving;  ///< at the time of the sweep
+struct TrackedBox {
+  std::uint32_t track;  ///< number of the track, from 1
+  bool is_moving;       ///< at the time of the sweep
   OrientedBox box;
 };
 
 /// The tracks in one sweep.
 struct TrackedSweep {
   std::vector<Member> members;  ///< by their rows
-  std::vector<TrackBox> boxes;
+  std::vector<TrackedBox> boxes;
   std::vector<std::uint64_t> voxels;  ///< dynamic voxels, ascending (dynamic_voxels)
 
   /// Whether a track makes the object with that first point dynamic.
-  bool claims(std::uint32_t first) const;
+  bool makes_dynamic(std::uint32_t first) const;
 };
 
 /// Where an object is in the sweeps that saw it.
@@ -47,9 +47,9 @@ struct TrackedObject {
     double deviation;          ///< of the position [m]
     double surface_deviation;  ///< of what was seen of its surface, across itself [m]
   };
-  std::vector<Place> places;
-  Eigen::Vector3f size;  ///< length, width and height [m]
-  bool rigid;
+  std::vector<Place> places{};
+  Eigen::Vector3f size = Eigen::Vector3f::Zero();  ///< length, width and height [m]
+  bool rigid = false;
 };
 
 /// Takes what tracks found in a sweep; called for each sweep in order.
@@ -63,19 +63,19 @@ using TakeSweep = std::function<void(const TrackedSweep& sweep)>;
 /// object.
 ///
 /// Between its observations, and a little before and after, an object is where its motion leads.
-/// Tracks of parts of one vehicle are joined (join_parts).
+/// Tracks of fragments of one vehicle are merged (merge_fragments).
 ///
-/// Detections are read three times in order of time and once backward, those of joined tracks once
+/// Detections are read three times in order of time and once backward, those of merged tracks once
 /// more, and are not kept. What stays in memory are the tracks, without their surfaces.
 ///
-/// @param times  of the sweeps [s]
-/// @param held   so many sweeps are held at once, at least 1, and those within the window of
-/// dynamic
-///               voxels around them; results do not depend on it
+/// @param times        of the sweeps [s]
+/// @param buffer_size  so many sweeps are in memory at once, at least 1, and those within the
+/// window
+///   of dynamic voxels around them; results do not depend on it
 /// @return track 1, 2, ...
 std::vector<TrackedObject> track_objects(const ReadDetections& read,
-                                         const std::vector<double>& times,
-                                         const TrackParameters& parameters, int threads,
-                                         const TakeSweep& take, std::size_t held);
+                                         const std::vector<double>& times, int threads,
+                                         const TakeSweep& take, std::size_t buffer_size,
+                                         const TrackingOptions& options = {});
 
 }  // namespace docdepth

@@ -10,7 +10,7 @@ struct OrientedBox {
   Eigen::Vector3f half;           ///< half of its length, width and height [m]
 
   /// Whether a point lies in the box or at most `margin` beside it [m].
-  bool holds(const Eigen::Vector3f& point, float margin) const {
+  bool contains(const Eigen::Vector3f& point, float margin) const {
     const Eigen::Vector3f p = T_box_world * point;
     return (p.array().abs() <= half.array() + margin).all();
   }

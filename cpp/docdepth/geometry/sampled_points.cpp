@@ -153,8 +153,8 @@ TimedPoints downsample_sweep(const Points& points, const float* times, float siz
   return means;
 }
 
-SampledPoints held(const SampledPoints& points, const std::vector<float>& times,
-                   const Vector& velocity, float time) {
+SampledPoints at_time(const SampledPoints& points, const std::vector<float>& times,
+                      const Vector& velocity, float time) {
   SampledPoints there(points.size());
   for (std::size_t i = 0; i < points.size(); ++i)
     there[i] = points[i] - (times[i] - time) * velocity;

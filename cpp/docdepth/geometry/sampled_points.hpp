@@ -89,8 +89,8 @@ TimedPoints downsample_sweep(const Points& points, const float* times, float siz
                              float max_range);
 
 /// Where points that go with a velocity are at one time [s].
-SampledPoints held(const SampledPoints& points, const std::vector<float>& times,
-                   const Eigen::Vector3f& velocity, float time);
+SampledPoints at_time(const SampledPoints& points, const std::vector<float>& times,
+                      const Eigen::Vector3f& velocity, float time);
 
 /// How far an object goes from one sweep to another, `dt` later, by the motion that explains most
 /// of the differences b - a: the horizontal shift up to `reach`, after a vertical one by `rise`.

@@ -1,7 +1,5 @@
 #include "docdepth/paths/smoothing.hpp"
 
-#include "docdepth/detections/constants.hpp"
-
 namespace docdepth {
 
 std::vector<Motion> smooth_positions(const std::vector<MeasuredPosition>& measured,
@@ -9,7 +7,7 @@ std::vector<Motion> smooth_positions(const std::vector<MeasuredPosition>& measur
   std::vector<MotionFilter> filtered, predicted;
   MotionFilter filter;
   filter.start({measured.front().time, measured.front().position, Eigen::Matrix3d::Identity()},
-               Eigen::Vector3d::Zero(), kFastest);
+               Eigen::Vector3d::Zero(), MotionFilter::kFastest);
   for (std::size_t k = 0; k < measured.size(); ++k) {
     filter.predict(measured[k].time, changes[k]);
     predicted.push_back(filter);

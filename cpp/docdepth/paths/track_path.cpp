@@ -2,24 +2,56 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
+#include <utility>
 
-#include "docdepth/detections/constants.hpp"
+#include "docdepth/tracking/constants.hpp"
 #include "docdepth/tracking/matching.hpp"
 
 namespace docdepth {
+namespace {
+
+/// The box of a standing object is collected over this many times the window.
+constexpr double kStandingWindowFactor = 3;
+/// An object has surely moved by what it moved less so many standard deviations.
+constexpr double kSureDeviations = 2;
+
+/// Distance from the first of some states that is surely reached.
+class SureDistance {
+ public:
+  void add(const PathState& state) {
+    if (!first_) first_ = state;
+    // That it moves is told by votes, too. By these alone, few returns that arrive would be lost.
+    const double unsure =
+        kSureDeviations * std::hypot(first_->independent_deviation, state.independent_deviation);
+    most_ = std::max(most_, (state.position - first_->position).head<2>().norm() - unsure);
+  }
+  float value() const { return float(most_); }
+
+ private:
+  std::optional<PathState> first_;
+  double most_ = 0;
+};
+
+}  // namespace
+
+TrackPath::TrackPath(Path path, const TrackingOptions& options)
+    : path_(std::move(path)),
+      window_(options.window),
+      max_gap_(options.max_gap),
+      max_gap_standing_(options.max_gap_standing) {}
 
 /// The observation after a time, but the second at least and the last at most.
-std::size_t TrackPath::after(double t) const {
+int TrackPath::after(double t) const {
   const auto later = [](double time, const PathState& state) { return time < state.time; };
   const auto k =
       std::upper_bound(path_.states.begin(), path_.states.end(), t, later) - path_.states.begin();
-  return std::clamp<std::size_t>(std::size_t(k), 1,
-                                 std::max<std::size_t>(path_.states.size() - 1, 1));
+  return std::clamp(int(k), 1, std::max(count() - 1, 1));
 }
 
 Eigen::Vector3d TrackPath::velocity(double t) const {
-  if (path_.states.size() == 1) return path_.states[0].velocity;
-  const std::size_t k = after(t);
+  if (count() == 1) return path_.states[0].velocity;
+  const int k = after(t);
   const PathState &a = path_.states[k - 1], &b = path_.states[k];
   const double share = std::clamp((t - a.time) / (b.time - a.time), 0.0, 1.0);
   return (1 - share) * a.velocity + share * b.velocity;
@@ -31,7 +63,7 @@ Pose TrackPath::pose(double t) const {
     const PathState& end = t <= first.time ? first : last;
     return upright_pose(end.position + (t - end.time) * end.velocity, end.heading, end.slope);
   }
-  const std::size_t k = after(t);
+  const int k = after(t);
   const PathState &a = path_.states[k - 1], &b = path_.states[k];
   const double share = (t - a.time) / (b.time - a.time);
   const auto mix = [&](const auto& from, const auto& to) {
@@ -43,21 +75,20 @@ Pose TrackPath::pose(double t) const {
 
 bool TrackPath::covers(double t) const {
   const double nearest = std::clamp(t, path_.states.front().time, path_.states.back().time);
-  const double gap = speed(nearest) < kStanding ? p_.max_gap_standing : p_.max_gap;
+  const double gap = speed(nearest) < kStanding ? max_gap_standing_ : max_gap_;
   return std::fabs(t - nearest) <= gap + kTimeTolerance;
 }
 
 OrientedBox TrackPath::box(double t) const {
   const bool stands = speed(t) < kStanding;
-  const double window = (stands ? kStandingWindowFactor * p_.window : p_.window) + kTimeTolerance;
-  const std::size_t k = after(t);
-  const auto distance = [&](std::size_t i) { return std::fabs(path_.states[i].time - t); };
-  std::size_t nearest = k < path_.states.size() && distance(k) < distance(k - 1) ? k : k - 1;
+  const double window = (stands ? kStandingWindowFactor * window_ : window_) + kTimeTolerance;
+  const auto distance = [&](int i) { return std::fabs(path_.states[i].time - t); };
+  const int k = after(t);
+  const int nearest = k < count() && distance(k) < distance(k - 1) ? k : k - 1;
   Extent seen = path_.extents[nearest];
   Eigen::Vector3f largest = seen.size();
-  for (int step : {-1, 1})
-    for (std::size_t i = nearest + std::size_t(step);
-         i < path_.extents.size() && distance(i) <= window; i += std::size_t(step)) {
+  for (const int step : {-1, 1})
+    for (int i = nearest + step; i >= 0 && i < count() && distance(i) <= window; i += step) {
       seen.add(path_.extents[i]);
       largest = largest.cwiseMax(path_.extents[i].size());
     }
@@ -71,18 +102,17 @@ OrientedBox TrackPath::around(const Extent& extent, double t) const {
   return {T.inverse().cast<float>(), 0.5f * extent.size()};
 }
 
-float TrackPath::distance(bool dynamic) const {
-  double most = 0;
-  std::size_t first = path_.states.size();
-  for (std::size_t k = 0; k < path_.states.size(); ++k) {
-    if (dynamic && !track_.observations[k].dynamic) continue;
-    if (first == path_.states.size()) first = k;
-    const PathState &a = path_.states[first], &b = path_.states[k];
-    // That it moves is told by votes, too. By these alone, few returns that arrive would be lost.
-    const double unsure = kSureDeviations * std::hypot(a.least_deviation, b.least_deviation);
-    most = std::max(most, (b.position - a.position).head<2>().norm() - unsure);
-  }
-  return float(most);
+float TrackPath::distance() const {
+  SureDistance distance;
+  for (const PathState& state : path_.states) distance.add(state);
+  return distance.value();
+}
+
+float TrackPath::transient_distance() const {
+  SureDistance distance;
+  for (const PathState& state : path_.states)
+    if (state.is_transient) distance.add(state);
+  return distance.value();
 }
 
 }  // namespace docdepth

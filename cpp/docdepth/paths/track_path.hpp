@@ -5,19 +5,14 @@
 
 #include "docdepth/geometry/oriented_box.hpp"
 #include "docdepth/paths/path_estimation.hpp"
-#include "docdepth/tracking/parameters.hpp"
-#include "docdepth/tracking/track.hpp"
+#include "docdepth/tracking/options.hpp"
 
 namespace docdepth {
 
 /// The path of a track: where its object is at any time, and around what was seen of it.
 class TrackPath {
  public:
-  /// The track and the parameters must outlive the path.
-  /// @param seen  what each observation of the track saw
-  TrackPath(const Track& track, const SeenSurface* seen, const std::vector<double>& times,
-            const TrackParameters& p)
-      : track_(track), p_(p), path_(estimate_path(track, seen, times)) {}
+  TrackPath(Path path, const TrackingOptions& options);
 
   /// The object at a time [s], interpolated between its observations and continued beyond them.
   Pose pose(double t) const;  ///< T_world_object; x forward, z up
@@ -37,31 +32,28 @@ class TrackPath {
   double surface_deviation(std::size_t observation) const {
     return path_.states[observation].surface_deviation;
   }
-  /// How far it surely goes from its first place, level, in all observations or in dynamic ones
-  /// [m]. What is seen of a bush goes up and down, and a fence shows no shift along it.
-  float distance(bool dynamic) const;
-
-  /// The observations that are one object; of others nothing else is known.
-  std::size_t begin() const { return path_.begin; }
-  std::size_t end() const { return path_.end; }
-  bool is_one_object() const { return path_.is_one_object(); }
+  /// How far it surely goes from its first place, level [m]. What is seen of a bush goes up and
+  /// down, and a fence shows no shift along it.
+  float distance() const;
+  /// The same in transient observations only.
+  float transient_distance() const;
 
   bool is_rigid() const { return path_.rigid; }
-  /// Whether it is wider than a person while it passes. In most sweeps a person may be one object
-  /// with the parked cars beside him, but these do not pass.
-  bool passes_wide() const { return path_.passes_wide; }
+  /// Whether it is wider than a person while it is transient. In most sweeps a person may be one
+  /// object with the parked cars beside him, but these are not transient.
+  bool is_wide_while_transient() const { return path_.wide_while_transient; }
   /// Whether ground was seen around it; then its heights are those over the ground.
   bool has_ground() const { return path_.has_ground; }
   /// Around all that was seen of it, in its own frame.
   const Extent& extent() const { return path_.extent; }
 
  private:
-  std::size_t after(double t) const;
+  int after(double t) const;
+  int count() const { return int(path_.states.size()); }
   OrientedBox around(const Extent& extent, double t) const;
 
-  const Track& track_;
-  const TrackParameters& p_;
-  const PathEstimate path_;
+  Path path_;
+  double window_, max_gap_, max_gap_standing_;  ///< of TrackingOptions [s]
 };
 
 }  // namespace docdepth

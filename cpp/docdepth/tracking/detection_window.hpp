@@ -18,24 +18,20 @@ using ReadDetections = std::function<std::shared_ptr<const Detections>(std::size
 /// The detections that were asked for last. So memory does not grow with the drive.
 class DetectionWindow {
  public:
-  /// @param held  so many sweeps, at least 1
-  DetectionWindow(ReadDetections read, std::size_t held) : read_(std::move(read)), held_(held) {}
+  /// @param size  so many sweeps, at least 1
+  DetectionWindow(ReadDetections read, std::size_t size) : read_(std::move(read)), size_(size) {}
 
-  /// @return a reference that is good until another sweep is asked for
-  const Detections& operator[](std::size_t sweep) { return *hold(sweep); }
-
-  /// The same, kept for as long as the caller holds it.
-  std::shared_ptr<const Detections> hold(std::size_t sweep) {
+  std::shared_ptr<const Detections> operator()(std::size_t sweep) {
     for (auto it = recent_.rbegin(); it != recent_.rend(); ++it)
       if (it->first == sweep) return it->second;
-    if (recent_.size() == held_) recent_.pop_front();
+    if (recent_.size() == size_) recent_.pop_front();
     recent_.emplace_back(sweep, read_(sweep));
     return recent_.back().second;
   }
 
  private:
   ReadDetections read_;
-  std::size_t held_;
+  std::size_t size_;
   std::deque<std::pair<std::size_t, std::shared_ptr<const Detections>>> recent_;
 };
 

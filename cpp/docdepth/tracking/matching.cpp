@@ -4,7 +4,7 @@
 #include <cmath>
 #include <utility>
 
-#include "docdepth/detections/constants.hpp"
+#include "docdepth/tracking/constants.hpp"
 #include "docdepth/tracking/neighbors.hpp"
 
 namespace docdepth {
@@ -12,14 +12,19 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
+/// One object never looks larger than its size times the factor, plus the margin [m].
+constexpr float kMaxSizeFactor = 1.5f;
+constexpr float kMaxSizeMargin = 0.5f;
+
 /// Share of the shifted samples that have one of `others` beside them. Rings leave gaps above and
 /// below, so that only the horizontal distance tells exactly.
-float level_share(const SampledPoints& samples, const Vector& shift, const SampledPoints& others) {
+float level_share(const SampledPoints& samples, const Vector& shift, const SampledPoints& others,
+                  float distance) {
   std::size_t found = 0;
   for (const Vector& sample : samples) {
     const Vector p = sample + shift;
     found += std::any_of(others.begin(), others.end(), [&](const Vector& q) {
-      return (q - p).head<2>().squaredNorm() < kLevelDistance * kLevelDistance &&
+      return (q - p).head<2>().squaredNorm() < distance * distance &&
              std::fabs(q.z() - p.z()) < kMatchDistance;
     });
   }
@@ -27,18 +32,19 @@ float level_share(const SampledPoints& samples, const Vector& shift, const Sampl
 }
 
 /// A track and a sweep in which it may go on.
-class Search {
+class MatchSearch {
  public:
-  Search(const TrackEnd& end, const Detections& seen, const std::vector<bool>& free, double time,
-         float max_speed)
-      : end_(end),
+  MatchSearch(const TrackState& state, const Detections& seen, const std::vector<bool>& free,
+              double time, const MatchOptions& options)
+      : state_(state),
         seen_(seen),
         free_(free),
         time_(time),
-        dt_(float(time - end.time)),
-        reach_(max_speed * std::fabs(dt_)),
-        expected_(end.speed.velocity * dt_) {
-    expected_.z() = end.elevation.rise(time, {});
+        dt_(float(time - state.time)),
+        reach_(options.max_speed * std::fabs(dt_)),
+        options_(options),
+        expected_(state.velocity.mean * dt_) {
+    expected_.z() = state.grade.rise(time, {});
   }
 
   /// The best match of these samples of the track.
@@ -47,7 +53,7 @@ class Search {
     std::vector<Vector> tried;
     const auto attempt = [&](const Vector& start) {
       // No road is so steep: the ground was seen wrong.
-      if (std::fabs(start.z()) > float(kSteepest) * start.head<2>().norm()) return;
+      if (std::fabs(start.z()) > float(MotionFilter::kSteepest) * start.head<2>().norm()) return;
       const auto is_same = [&](const Vector& other) {
         return (other - start).norm() < kSampleSpacing;
       };
@@ -56,19 +62,20 @@ class Search {
       Match match = from(start, samples);
       if (match.score > best.score) best = std::move(match);
     };
-    if (end_.speed.is_known) {
+    if (state_.velocity.is_known) {
       attempt(expected_);
       attempt(Vector::Zero());
     }
     const Extent box = extent_of(samples.points);
     for (std::uint32_t k = 0; k < seen_.size(); ++k) {
       const Detection& object = seen_[k];
-      if (!free_[k] || !could_match(object.box, end_.largest)) continue;
-      const Extent there = box_of(object, end_.speed.velocity);
-      const bool near = end_.speed.is_known ? there.overlaps(box.moved(expected_), kSearchMargin)
-                                            : object.is_passing() && there.overlaps(box, reach_);
+      if (!free_[k] || !could_match(object.box, state_.largest)) continue;
+      const Extent there = box_of(object, state_.velocity.mean);
+      const bool near = state_.velocity.is_known
+                            ? there.overlaps(box.moved(expected_), kSearchMargin)
+                            : object.is_transient() && there.overlaps(box, reach_);
       if (!near) continue;
-      const float rise = end_.elevation.rise(time_, object.ground);
+      const float rise = state_.grade.rise(time_, object.ground);
       try_shifts(samples, box, object, 0, attempt);  // in any case: the ground may be seen wrong
       if (rise != 0) try_shifts(samples, box, object, rise, attempt);
     }
@@ -76,11 +83,15 @@ class Search {
   }
 
  private:
+  /// How wrong a shift of what is so far away may be [m].
+  float shift_error_at(float range) const {
+    return std::max(options_.shift_error, options_.ray_spacing * range);
+  }
   SampledPoints samples_of(const Detection& object, const Vector& velocity) const {
-    return held(object.samples(), object.surface.times, velocity, end_.offset);
+    return at_time(object.samples(), object.surface.times, velocity, state_.offset);
   }
   Extent box_of(const Detection& object, const Vector& velocity) const {
-    return object.box.moved((end_.offset - object.time_offset) * velocity);
+    return object.box.moved((state_.offset - object.time_offset) * velocity);
   }
 
   /// Shifts to a detection after a rise. Along a flat side every shift fits; its ends tell how far
@@ -88,22 +99,22 @@ class Search {
   template <class Attempt>
   void try_shifts(const TimedPoints& samples, const Extent& box, const Detection& object,
                   float rise, const Attempt& attempt) const {
-    const Extent there = box_of(object, end_.speed.velocity);
-    const float share = 1 + (object.time_offset - end_.offset) / dt_;
+    const Extent there = box_of(object, state_.velocity.mean);
+    const float share = 1 + (object.time_offset - state_.offset) / dt_;
     for (Vector shift : {Vector(there.low - box.low), Vector(there.high - box.high)}) {
-      if (!end_.speed.is_known) shift /= std::max(share, kMinTimeShare);
+      if (!state_.velocity.is_known) shift /= std::max(share, kMinTimeShare);
       if (shift.head<2>().norm() <= reach_) attempt({shift.x(), shift.y(), rise});
     }
-    if (!end_.speed.is_known)
+    if (!state_.velocity.is_known)
       attempt(most_frequent_shift(samples, {object.samples(), object.surface.times}, dt_, reach_,
                                   rise));
   }
 
   /// The detections onto which the samples fall, with a shift that is refined from `start`.
   Match from(const Vector& start, const TimedPoints& of_track) const {
-    const bool can_be = end_.speed.allows(start, dt_, shift_error_at(0));
-    const Vector velocity = can_be ? Vector(start / dt_) : end_.speed.velocity;
-    const SampledPoints samples = held(of_track.points, of_track.times, velocity, end_.offset);
+    const bool can_be = state_.velocity.allows(start, dt_, shift_error_at(0));
+    const Vector velocity = can_be ? Vector(start / dt_) : state_.velocity.mean;
+    const SampledPoints samples = at_time(of_track.points, of_track.times, velocity, state_.offset);
     const Extent box = extent_of(samples).moved(start);
     std::vector<std::uint32_t> near;
     std::vector<SampledPoints> samples_near;
@@ -112,8 +123,8 @@ class Search {
     for (std::uint32_t k = 0; k < seen_.size(); ++k) {
       const Detection& object = seen_[k];
       if (!box_of(object, velocity).overlaps(box, kSearchMargin) || !free_[k]) continue;
-      if (!end_.speed.is_known && !object.is_passing()) continue;
-      if (!could_match(object.box, end_.largest) || is_among(object, end_.neighbors)) continue;
+      if (!state_.velocity.is_known && !object.is_transient()) continue;
+      if (!could_match(object.box, state_.largest) || is_among(object, state_.neighbors)) continue;
       near.push_back(k);
       range = std::max(range, object.range());
       samples_near.push_back(samples_of(object, velocity));
@@ -121,11 +132,11 @@ class Search {
     }
     Match match;
     match.shift = start;
-    match.largest = end_.largest;
+    match.largest = state_.largest;
     if (!refine_shift(samples, there, match.shift)) return {};
     match.error = shift_error_at(range);
-    if (!end_.speed.allows(match.shift, dt_, match.error)) match.shift = start;
-    if (!end_.speed.allows(match.shift, dt_, match.error)) return {};
+    if (!state_.velocity.allows(match.shift, dt_, match.error)) match.shift = start;
+    if (!state_.velocity.allows(match.shift, dt_, match.error)) return {};
     for (std::size_t n = 0; n < near.size(); ++n)
       if (matched_share(samples_near[n], -match.shift, samples) >= kMinMemberShare)
         match.objects.push_back(near[n]);
@@ -135,7 +146,8 @@ class Search {
     SampledPoints found;
     for (const auto k : match.objects) add(seen_[k], samples_of(seen_[k], velocity), match, found);
     // Where most of the track is not what was kept, what was dropped may be the track itself.
-    if (matched_share(samples, match.shift, found) < kMinKeptShare) match.neighbors.clear();
+    if (matched_share(samples, match.shift, found) < options_.min_kept_share)
+      match.neighbors.clear();
     // Together larger than one object: a pedestrian and what he walks away from.
     if (!could_match(match.box, match.largest)) return {};
     // Half of a track may be hidden, so twice its matched share counts. Of two equal matches the
@@ -147,13 +159,17 @@ class Search {
     };
     const auto nearly = [](const auto&... of) { return matched_share(of...); };
     const float share = score(nearly);
-    if (share < kMinMatchedShare) return {};
-    const float exact = score(level_share);
-    match.score = exact + kNearWeight * share;
+    if (share < options_.min_share) return {};
+    const auto exactly = [&](const auto&... of) {
+      return level_share(of..., options_.level_distance);
+    };
+    const float exact = score(exactly);
+    match.score = exact + options_.near_weight * share;
     // Two petals of a rosette see two parts of a car: the less they have in common, the less they
     // tell how far it went.
-    if (!end_.speed.is_known)
-      match.error = std::max(match.error, kFirstShiftError * (1 - exact) * match.shift.norm());
+    if (!state_.velocity.is_known)
+      match.error =
+          std::max(match.error, options_.first_shift_error * (1 - exact) * match.shift.norm());
     return match;
   }
 
@@ -167,21 +183,22 @@ class Search {
     match.largest = match.largest.cwiseMax(object.box.size());
   }
 
-  const TrackEnd& end_;
+  const TrackState& state_;
   const Detections& seen_;
   const std::vector<bool>& free_;
   const double time_;
   const float dt_, reach_;
+  const MatchOptions options_;
   Vector expected_;
 };
 
 }  // namespace
 
-Match find_match(const TrackEnd& end, const Detections& seen, const std::vector<bool>& free,
-                 double time, float max_speed) {
-  const Search search(end, seen, free, time, max_speed);
-  Match match = search.best(end.samples);
-  return match.score > 0 ? match : search.best(end.last);
+Match find_match(const TrackState& state, const Detections& seen, const std::vector<bool>& free,
+                 double time, const MatchOptions& options) {
+  const MatchSearch search(state, seen, free, time, options);
+  Match match = search.best(state.samples);
+  return match.score > 0 ? match : search.best(state.last);
 }
 
 bool could_match(const Extent& box, const Vector& size) {

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "docdepth/detections/detections.hpp"
-#include "docdepth/tracking/track_end.hpp"
+#include "docdepth/tracking/track_state.hpp"
 
 namespace docdepth {
 
@@ -16,12 +16,32 @@ struct Match {
   Eigen::Vector3f shift = Eigen::Vector3f::Zero();
   std::vector<std::uint32_t> objects;
   TimedPoints samples;
-  Extent box;
-  Eigen::Vector3f largest;
+  Extent box{};
+  Eigen::Vector3f largest = Eigen::Vector3f::Zero();
   bool hidden = false;  ///< partly, by something nearer
   float error = 0;      ///< how wrong the shift may be [m]
   float area = 0;       ///< of its objects
   SampledPoints neighbors;
+};
+
+struct MatchOptions {
+  /// Fastest road user [m/s]: a track whose speed is not known yet reaches so far.
+  float max_speed = 40.0f;
+  /// Samples match exactly within this horizontal distance [m]: they are this far apart at most.
+  float level_distance = 0.2f;
+  /// Weight of the samples that match beside those that match exactly: it decides between few.
+  float near_weight = 0.1f;
+  /// Two objects match if the product of their matched shares is at least this.
+  float min_share = 0.4f;
+  /// What is told apart is remembered if this share of the track lies on what is kept.
+  float min_kept_share = 0.5f;
+  /// How wrong a shift may be [m];
+  float shift_error = 0.15f;
+  /// far away as much as rays are apart [rad]: 0.3 degrees.
+  float ray_spacing = 0.005f;
+  /// The first shift of a track may be wrong by this share of itself if the two sweeps show no
+  /// common part of the object.
+  float first_shift_error = 0.3f;
 };
 
 /// The best match of a track in a sweep: the detections onto which its samples fall.
@@ -30,11 +50,10 @@ struct Match {
 /// behind where another one does. So all samples are compared where they were at one time after the
 /// stamp of their sweep: that at which the track was seen last.
 ///
-/// @param free       of each detection, whether the track may take it
-/// @param time       stamp of the sweep [s]
-/// @param max_speed  of a track whose speed is not known yet [m/s]
-Match find_match(const TrackEnd& end, const Detections& seen, const std::vector<bool>& free,
-                 double time, float max_speed);
+/// @param free  of each detection, whether the track may take it
+/// @param time  stamp of the sweep [s]
+Match find_match(const TrackState& state, const Detections& seen, const std::vector<bool>& free,
+                 double time, const MatchOptions& options);
 
 /// Whether a box may be the same object as one that was seen with another size.
 bool could_match(const Extent& box, const Eigen::Vector3f& size);

@@ -3,10 +3,11 @@
 #include <Eigen/Cholesky>
 #include <cmath>
 
-#include "docdepth/detections/constants.hpp"
-
 namespace docdepth {
 namespace {
+
+/// Measurements farther from the expected place are outliers [standard deviations].
+constexpr double kGate = 4;
 
 using Matrix3 = Eigen::Matrix3d;
 

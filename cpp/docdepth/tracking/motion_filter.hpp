@@ -14,6 +14,15 @@ struct MeasuredPosition {
 /// What is known of a motion at a time: the acceleration is a random walk.
 class MotionFilter {
  public:
+  /// Before anything is known of a road user: its speed [m/s] and acceleration [m/s^2].
+  static constexpr double kFastest = 20;
+  static constexpr double kStrongest = 3;
+  /// How much the vertical acceleration changes in a second [m/s^2]: roads bend far less up and
+  /// down than sideways.
+  static constexpr double kVerticalChange = 0.3;
+  /// No road is steeper [rad]: 20 degrees.
+  static constexpr double kSteepest = 0.35;
+
   /// Begin at a position with a velocity that is known within `deviation` [m/s]; upward within
   /// kSteepest of that.
   void start(const MeasuredPosition& at, const Eigen::Vector3d& velocity, double deviation);

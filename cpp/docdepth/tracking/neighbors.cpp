@@ -4,17 +4,26 @@
 #include <cmath>
 #include <limits>
 
-#include "docdepth/detections/constants.hpp"
+#include "docdepth/tracking/constants.hpp"
 
 namespace docdepth {
 namespace {
+
+/// Smaller parts of a match than this share of the area of another one are its fragments.
+constexpr float kFragmentShare = 0.25f;
+/// Two parts belong together if their transient shares differ by less than this factor.
+constexpr float kTogetherShare = 0.35f;
+/// Of fewer points that should be transient, a share says nothing.
+constexpr float kMinExpectedPoints = 5;
+/// So many directions are tried for the width of things.
+constexpr int kWidthDirections = 18;
 
 /// Whether the place of a detection was less free than that of another one which is not much
 /// larger, and the votes tell that it was there before or stayed after.
 bool was_there_before(const Detection& object, const Detection& other) {
   return object.area > kFragmentShare * other.area &&
-         was_less_free(object, other.passing_share()) &&
-         (other.is_passing() || object.first_occupied < other.first_occupied ||
+         was_less_free(object, other.transient_share()) &&
+         (other.is_transient() || object.first_occupied < other.first_occupied ||
           object.last_occupied > other.last_occupied);
 }
 
@@ -28,7 +37,8 @@ bool are_too_wide(std::initializer_list<const SampledPoints*> things) {
     for (const SampledPoints* samples : things)
       for (const Eigen::Vector3f& p : *samples) {
         const float x = across.dot(p.head<2>());
-        low = std::min(low, x), high = std::max(high, x);
+        low = std::min(low, x);
+        high = std::max(high, x);
       }
     if (high - low <= kMaxVehicleWidth) return false;
   }
@@ -37,14 +47,14 @@ bool are_too_wide(std::initializer_list<const SampledPoints*> things) {
 
 bool was_less_free(const Detection& object, float share) {
   return share * float(object.points) >= kMinExpectedPoints &&
-         object.passing_share() < kTogetherShare * share;
+         object.transient_share() < kTogetherShare * share;
 }
 
 SampledPoints drop_neighbors(const Detections& seen, std::vector<std::uint32_t>& objects) {
   SampledPoints neighbors;
   if (objects.empty()) return neighbors;
   const auto best = *std::max_element(objects.begin(), objects.end(), [&](auto a, auto b) {
-    return seen[a].passing_area() < seen[b].passing_area();
+    return seen[a].transient_area() < seen[b].transient_area();
   });
   const auto is_neighbor = [&](std::uint32_t k) {
     const SampledPoints& samples = seen[k].samples();

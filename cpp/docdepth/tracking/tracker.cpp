@@ -2,52 +2,53 @@
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
+#include <utility>
 
-#include "docdepth/detections/constants.hpp"
-#include "docdepth/tracking/ego_places.hpp"
+#include "docdepth/tracking/constants.hpp"
+#include "docdepth/tracking/ego_body.hpp"
 #include "docdepth/tracking/matching.hpp"
-#include "docdepth/tracking/track_end.hpp"
+#include "docdepth/tracking/track_state.hpp"
 
 namespace docdepth {
 namespace {
 
 using Vector = Eigen::Vector3f;
 
-constexpr int kFree = -1, kUntracked = -2;  // owners of a detection besides tracks
+/// What was seen once may be anywhere that max_speed reaches, so it is looked for in so many sweeps
+/// only: with each one there are more places, and parked cars in some of them.
+constexpr std::size_t kMaxSweepsUnknown = 3;
+/// Less than this share of an object's area is a part of it.
+constexpr float kPartialShare = 0.5f;
+/// What touches a track but is none of it is kept as at most this many samples.
+constexpr std::size_t kMaxNeighborSamples = 300;
 
-double mean_time_offset(const Detections& seen, const std::vector<std::uint32_t>& objects) {
-  double offset = 0, points = 0;
-  for (const auto k : objects)
-    offset += double(seen[k].time_offset) * seen[k].points, points += seen[k].points;
-  return offset / points;
-}
+constexpr int kFree = -1, kUntracked = -2;  // owners of a detection besides tracks
 
 bool can_be_tracked(const Detection& object) {
   return object.box.size().z() >= kMinTrackedHeight && object.box.width() <= kMaxObjectWidth;
 }
 
-/// Under the object of most points.
-Height ground_under(const Detections& seen, const std::vector<std::uint32_t>& objects) {
-  const auto fewer = [&](auto a, auto b) { return seen[a].points < seen[b].points; };
-  return seen[*std::max_element(objects.begin(), objects.end(), fewer)].ground;
+std::size_t sweeps_between(const TrackState& state, std::size_t sweep) {
+  return std::max(sweep, state.sweep) - std::min(sweep, state.sweep);
 }
 
 class Tracker {
  public:
-  Tracker(DetectionWindow& detections, const std::vector<double>& times, const TrackParameters& p)
-      : detections_(detections), times_(times), p_(p) {}
+  Tracker(ReadDetections read, std::vector<double> times, const TrackingOptions& options)
+      : read_(std::move(read)), times_(std::move(times)), options_(options) {}
 
   std::vector<Track> run() {
-    for (std::size_t i = 0; i < times_.size(); ++i) ego_.add(detections_[i]);
+    for (std::size_t i = 0; i < times_.size(); ++i) ego_.add(*read_(i));
     for (std::size_t i = 0; i < times_.size(); ++i) forward(i);
-    alive_.clear();
+    active_.clear();
     std::vector<std::vector<int>> begin(times_.size());  // tracks by their first sweep
     for (std::size_t k = 0; k < tracks_.size(); ++k)
       begin[tracks_[k].observations.front().sweep].push_back(int(k));
     for (std::size_t i = times_.size(); i-- > 0;) {
       backward(i);
       for (const int k : begin[i])
-        if (!tracks_[k].observations.empty()) alive_.push_back(beginning(k));
+        if (!tracks_[k].observations.empty()) active_.push_back(beginning(k));
     }
     std::vector<Track> found;
     for (Track& track : tracks_)
@@ -57,250 +58,225 @@ class Tracker {
 
  private:
   void forward(std::size_t sweep) {
-    const Detections& seen = detections_[sweep];
+    const auto detections = read_(sweep);
+    const Detections& seen = *detections;
     std::vector<int> owners;
     for (const Detection& object : seen)
-      owners.push_back(can_be_tracked(object) && !ego_.hold(object) ? kFree : kUntracked);
+      owners.push_back(can_be_tracked(object) && !ego_.contains(object) ? kFree : kUntracked);
     owners_.push_back(std::move(owners));
-    go_on(sweep, [&](const TrackEnd& end, Match&& match) {
-      add(end.track, sweep, match, false);
-      last_speeds_[std::size_t(end.track)] = end.speed;
+    extend_tracks(sweep, [&](const TrackState& state, Match&&, TrackObservation&& observation) {
+      append(state.track, std::move(observation));
+      last_velocities_[std::size_t(state.track)] = state.velocity;
     });
-    for (std::uint32_t k = 0; k < seen.size(); ++k) {
-      if (owners_[sweep][k] != kFree || !seen[k].is_passing() ||
-          seen[k].samples().size() < kMinSamples)
-        continue;
-      const int track = int(tracks_.size());
-      owners_[sweep][k] = track;
-      tracks_.push_back({{{sweep,
-                           {k},
-                           seen[k].box,
-                           Vector::Zero(),
-                           0,
-                           true,
-                           seen[k].is_dynamic(),
-                           seen[k].area,
-                           seen[k].passing_area(),
-                           seen[k].free_area,
-                           seen[k].points,
-                           mean_time_offset(seen, {k}),
-                           seen[k].ground}},
-                         1});
-      last_speeds_.emplace_back();
-      const TimedPoints samples{seen[k].samples(), seen[k].surface.times};
-      alive_.push_back({track,
-                        sweep,
-                        detections_.hold(sweep),
-                        samples,
-                        samples,
-                        seen[k].box.size(),
-                        times_[sweep],
-                        seen[k].time_offset,
-                        {},
-                        {},
-                        seen[k].area});
-      alive_.back().elevation.add(times_[sweep], seen[k].ground);
-    }
+    for (std::uint32_t k = 0; k < seen.size(); ++k)
+      if (owners_[sweep][k] == kFree && seen[k].is_transient() &&
+          seen[k].samples().size() >= kMinSamples)
+        begin_track(sweep, detections, k);
+  }
+
+  void begin_track(std::size_t sweep, const std::shared_ptr<const Detections>& detections,
+                   std::uint32_t k) {
+    const Detection& seen = (*detections)[k];
+    const int track = int(tracks_.size());
+    tracks_.emplace_back();
+    last_velocities_.emplace_back();
+    append(track, observe(sweep, *detections, {k}));
+    const TimedPoints samples{seen.samples(), seen.surface.times};
+    active_.push_back({.track = track,
+                       .sweep = sweep,
+                       .detections = detections,
+                       .samples = samples,
+                       .last = samples,
+                       .largest = seen.box.size(),
+                       .time = times_[sweep],
+                       .offset = seen.time_offset,
+                       .area = seen.area});
+    active_.back().grade.add(times_[sweep], seen.ground);
   }
 
   void backward(std::size_t sweep) {
-    go_on(sweep, [&](TrackEnd& end, Match&& match) {
-      const int before = earlier_track(sweep, match);
-      if (before < 0) return add(end.track, sweep, match, true);
-      // What the two have in common is the last observation of the earlier track.
-      auto& later = tracks_[end.track].observations;
-      auto& earlier = tracks_[before].observations;
-      later.front().shift = -match.shift;
-      later.front().shift_error = match.error;
-      later.insert(later.begin(), earlier.begin(), earlier.end());
-      tracks_[end.track].dynamic += tracks_[before].dynamic;
-      for (const TrackObservation& seen : earlier)
-        for (const auto k : seen.objects) owners_[seen.sweep][k] = end.track;
-      earlier = {};
-      gone_.push_back(end.track);  // it goes on at its new beginning
+    extend_tracks(sweep, [&](TrackState& state, Match&& match, TrackObservation&& observation) {
+      const int before = earlier_track(observation, *state.detections);
+      if (before < 0)
+        prepend(state.track, std::move(observation));
+      else
+        merge(before, state.track, match);
     });
-    for (const int track : gone_) {
-      const auto is_it = [&](const TrackEnd& end) { return end.track == track; };
-      alive_.erase(std::remove_if(alive_.begin(), alive_.end(), is_it), alive_.end());
-      joined_.push_back(track);
+    for (const int track : merged_) {
+      const auto is_it = [&](const TrackState& state) { return state.track == track; };
+      active_.erase(std::remove_if(active_.begin(), active_.end(), is_it), active_.end());
+      reopened_.push_back(track);
     }
-    gone_.clear();
-    for (auto it = joined_.begin(); it != joined_.end();) {
+    merged_.clear();
+    for (auto it = reopened_.begin(); it != reopened_.end();) {
       const bool begins = tracks_[*it].observations.front().sweep == sweep;
-      if (begins) alive_.push_back(beginning(*it));
-      it = begins ? joined_.erase(it) : it + 1;
+      if (begins) active_.push_back(beginning(*it));
+      it = begins ? reopened_.erase(it) : it + 1;
     }
   }
 
-  /// Let each living track find its continuation in a sweep; the longest chooses first.
+  /// Let each active track find its continuation in a sweep; the longest chooses first.
   template <class Take>
-  void go_on(std::size_t sweep, const Take& take) {
-    std::stable_sort(alive_.begin(), alive_.end(), [&](const TrackEnd& a, const TrackEnd& b) {
+  void extend_tracks(std::size_t sweep, const Take& take) {
+    std::stable_sort(active_.begin(), active_.end(), [&](const TrackState& a, const TrackState& b) {
       return tracks_[a.track].observations.size() > tracks_[b.track].observations.size();
     });
-    std::vector<TrackEnd> alive;
-    for (TrackEnd& end : alive_) {
-      const double dt = times_[sweep] - end.time;
-      if (is_lost(end, sweep)) continue;
+    const auto detections = read_(sweep);
+    std::vector<TrackState> active;
+    for (TrackState& state : active_) {
+      const double dt = times_[sweep] - state.time;
+      if (is_lost(state, sweep)) continue;
       std::vector<bool> free(owners_[sweep].size());
-      for (std::uint32_t k = 0; k < free.size(); ++k) free[k] = is_free(sweep, k, end);
-      Match match = find_match(end, detections_[sweep], free, times_[sweep], p_.max_speed);
-      if (match.score > 0 && can_join(sweep, match, dt) && !was_there(end, sweep, match)) {
-        move_on(end, sweep, match);
-        take(end, std::move(match));
+      for (std::uint32_t k = 0; k < free.size(); ++k) free[k] = is_free(sweep, k, state);
+      Match match = find_match(state, *detections, free, times_[sweep], options_.matching);
+      if (match.score > 0 && may_merge(sweep, match, dt) &&
+          !was_occupied_before(state, sweep, *detections, match)) {
+        TrackObservation observation = observe(sweep, *detections, match.objects);
+        observation.shift = match.shift;
+        observation.shift_error = match.error;
+        advance(state, match, observation);
+        state.detections = detections;
+        take(state, std::move(match), std::move(observation));
       }
-      alive.push_back(std::move(end));
+      active.push_back(std::move(state));
     }
-    alive_ = std::move(alive);
+    active_ = std::move(active);
   }
 
-  void move_on(TrackEnd& end, std::size_t sweep, const Match& match) const {
+  void advance(TrackState& state, const Match& match, const TrackObservation& observation) const {
     // What hides an object now may go away: all is kept that was seen of it.
-    const bool partial = match.hidden || match.area < kPartialShare * end.area;
-    const bool stands = end.speed.velocity.norm() < kStanding;
-    const double dt = times_[sweep] - end.time;
-    end.speed.add(match.shift, dt, match.error);
-    if (!partial) end.area = match.area;
-    end.offset = float(mean_time_offset(detections_[sweep], match.objects));
-    end.hold(partial || stands ? end.samples : end.last, match.samples, match.shift, dt);
-    end.time = times_[sweep];
-    end.sweep = sweep;
-    end.seen = detections_.hold(sweep);
-    end.elevation.add(end.time, ground_under(detections_[sweep], match.objects));
-    end.largest = match.largest;
-    append(end.neighbors, match.neighbors);
-    end.neighbors = downsample(end.neighbors, kSampleSpacing, kMaxNeighborSamples);
+    const bool partial = match.hidden || match.area < kPartialShare * state.area;
+    const bool stands = state.velocity.stands();
+    const double dt = times_[observation.sweep] - state.time;
+    state.velocity.add(match.shift, dt, match.error);
+    if (!partial) state.area = match.area;
+    state.offset = float(observation.time_offset);
+    state.set_samples(partial || stands ? state.samples : state.last, match.samples, match.shift,
+                      dt);
+    state.time = times_[observation.sweep];
+    state.sweep = observation.sweep;
+    state.grade.add(state.time, observation.ground);
+    state.largest = match.largest;
+    docdepth::append(state.neighbors, match.neighbors);
+    state.neighbors = downsample(state.neighbors, kSampleSpacing, kMaxNeighborSamples);
   }
 
-  void add(int track, std::size_t sweep, const Match& match, bool at_front) {
-    const Detections& seen = detections_[sweep];
-    TrackObservation added{sweep,
-                           match.objects,
-                           match.box,
-                           match.shift,
-                           match.error,
-                           false,
-                           false,
-                           0,
-                           0,
-                           0,
-                           0,
-                           mean_time_offset(seen, match.objects),
-                           ground_under(seen, match.objects)};
-    std::uint32_t points = 0, of_dynamic = 0, voted = 0;
-    for (const auto k : match.objects) {
-      owners_[sweep][k] = track;
-      points += seen[k].points;
-      added.area += seen[k].area;
-      added.passing_area += seen[k].passing_area();
-      added.free_area += seen[k].free_area;
-      if (seen[k].is_passing()) of_dynamic += seen[k].points;
-      if (seen[k].is_dynamic()) voted += seen[k].points;
-    }
-    added.points = points;
-    added.dynamic = 2 * of_dynamic >= points;
-    added.voted = 2 * voted >= points;
-    tracks_[track].dynamic += added.dynamic;
+  void append(int track, TrackObservation&& observation) {
+    own(track, observation);
+    tracks_[track].observations.push_back(std::move(observation));
+  }
+
+  void prepend(int track, TrackObservation&& observation) {
+    own(track, observation);
     auto& observations = tracks_[track].observations;
-    if (at_front) {
-      observations.front().shift = -match.shift;
-      observations.front().shift_error = match.error;
-      added.shift = Vector::Zero();
-      observations.insert(observations.begin(), std::move(added));
-    } else {
-      observations.push_back(std::move(added));
-    }
+    observations.front().shift = -observation.shift;
+    observations.front().shift_error = observation.shift_error;
+    observation.shift = Vector::Zero();
+    observations.insert(observations.begin(), std::move(observation));
+  }
+
+  void own(int track, const TrackObservation& observation) {
+    for (const auto k : observation.objects) owners_[observation.sweep][k] = track;
+    tracks_[track].transient_count += observation.is_transient;
+  }
+
+  /// Put an earlier track before a later one, whose backward match is the end of the earlier one.
+  void merge(int before, int after, const Match& match) {
+    auto& later = tracks_[after].observations;
+    auto& earlier = tracks_[before].observations;
+    later.front().shift = -match.shift;
+    later.front().shift_error = match.error;
+    later.insert(later.begin(), earlier.begin(), earlier.end());
+    tracks_[after].transient_count += tracks_[before].transient_count;
+    for (const TrackObservation& seen : earlier)
+      for (const auto k : seen.objects) owners_[seen.sweep][k] = after;
+    earlier = {};
+    merged_.push_back(after);  // it goes on at its new beginning
   }
 
   /// The beginning of a track, from which it is followed backward.
-  TrackEnd beginning(int track) const {
+  TrackState beginning(int track) const {
     const auto& seen = tracks_[track].observations;
     const auto samples_of = [&](const TrackObservation& of) {
+      const auto detections = read_(of.sweep);
       TimedPoints samples;
-      for (const auto k : of.objects) append(samples, detections_[of.sweep][k]);
+      for (const auto k : of.objects) docdepth::append(samples, (*detections)[k]);
       return samples;
     };
-    TrackEnd end{track,
-                 seen[0].sweep,
-                 detections_.hold(seen[0].sweep),
-                 {},
-                 samples_of(seen[0]),
-                 seen[0].box.size(),
-                 times_[seen[0].sweep],
-                 float(seen[0].time_offset),
-                 {},
-                 {},
-                 seen[0].area};
-    for (const TrackObservation& of : seen) end.largest = end.largest.cwiseMax(of.box.size());
+    TrackState state{.track = track,
+                     .sweep = seen[0].sweep,
+                     .detections = read_(seen[0].sweep),
+                     .last = samples_of(seen[0]),
+                     .largest = seen[0].box.size(),
+                     .time = times_[seen[0].sweep],
+                     .offset = float(seen[0].time_offset),
+                     .area = seen[0].area};
+    for (const TrackObservation& of : seen) state.largest = state.largest.cwiseMax(of.box.size());
     for (std::size_t k = seen.size(); k-- > 0;)
-      end.elevation.add(times_[seen[k].sweep], seen[k].ground);
-    end.samples = end.last;
-    if (seen.size() == 1) return end;
-    const double dt = end.time - times_[seen[1].sweep];
-    end.hold(samples_of(seen[1]), samples_of(seen[0]), -seen[1].shift, dt);
-    end.speed.add(-seen[1].shift, dt, seen[1].shift_error);
-    return end;
+      state.grade.add(times_[seen[k].sweep], seen[k].ground);
+    state.samples = state.last;
+    if (seen.size() == 1) return state;
+    const double dt = state.time - times_[seen[1].sweep];
+    state.set_samples(samples_of(seen[1]), samples_of(seen[0]), -seen[1].shift, dt);
+    state.velocity.add(-seen[1].shift, dt, seen[1].shift_error);
+    return state;
   }
 
   /// Whether the earlier track that a match ends, if any, goes as fast as the match says.
-  bool can_join(std::size_t sweep, const Match& match, double dt) const {
+  bool may_merge(std::size_t sweep, const Match& match, double dt) const {
     for (const auto k : match.objects)
       if (const int owner = owners_[sweep][k];
-          owner >= 0 && !last_speeds_[std::size_t(owner)].allows(-match.shift, -dt, match.error))
+          owner >= 0 &&
+          !last_velocities_[std::size_t(owner)].allows(-match.shift, -dt, match.error))
         return false;
     return true;
   }
 
-  /// The track that ends with most of the objects of a match; -1 if they are free. The others are
-  /// dropped from the match.
-  int earlier_track(std::size_t sweep, Match& match) const {
+  /// The track that ends with most of the objects of a match; -1 if they are free.
+  int earlier_track(const TrackObservation& observation, const Detections& detections) const {
     int found = -1;
     std::uint32_t most = 0;
-    for (const auto k : match.objects)
-      if (owners_[sweep][k] >= 0 && detections_[sweep][k].points > most)
-        found = owners_[sweep][k], most = detections_[sweep][k].points;
-    if (found < 0) return found;
-    auto& objects = match.objects;
-    objects.erase(std::remove_if(objects.begin(), objects.end(),
-                                 [&](auto k) { return owners_[sweep][k] != found; }),
-                  objects.end());
+    for (const auto k : observation.objects) {
+      const int owner = owners_[observation.sweep][k];
+      const std::uint32_t points = detections[k].points;
+      if (owner < 0 || points <= most) continue;
+      found = owner;
+      most = points;
+    }
     return found;
   }
 
   /// Whether a track was seen too long before a sweep, or too long after it, to go on there.
-  bool is_lost(const TrackEnd& end, std::size_t sweep) const {
-    if (!end.speed.is_known && sweeps_between(end, sweep) > kMaxSweepsUnknown) return true;
-    const bool stands = end.speed.is_known && end.speed.velocity.norm() < kStanding;
-    const bool proven = tracks_[end.track].dynamic >= p_.min_detections;
-    const double gap = stands && proven ? p_.max_gap_standing : p_.max_gap;
-    return std::fabs(times_[sweep] - end.time) > gap + kTimeTolerance;
-  }
-
-  static std::size_t sweeps_between(const TrackEnd& end, std::size_t sweep) {
-    return std::max(sweep, end.sweep) - std::min(sweep, end.sweep);
+  bool is_lost(const TrackState& state, std::size_t sweep) const {
+    if (!state.velocity.is_known && sweeps_between(state, sweep) > kMaxSweepsUnknown) return true;
+    const bool stands = state.velocity.is_known && state.velocity.stands();
+    const bool proven = tracks_[state.track].transient_count >= options_.min_detections;
+    const double gap = stands && proven ? options_.max_gap_standing : options_.max_gap;
+    return std::fabs(times_[sweep] - state.time) > gap + kTimeTolerance;
   }
 
   /// Whether a track may take a detection: it is nobody's, or the end of an earlier track.
-  bool is_free(std::size_t sweep, std::uint32_t k, const TrackEnd& end) const {
+  bool is_free(std::size_t sweep, std::uint32_t k, const TrackState& state) const {
     const int owner = owners_[sweep][k];
     if (owner < 0) return owner == kFree;
-    return owner != end.track && tracks_[end.track].observations.front().sweep > sweep &&
+    return owner != state.track && tracks_[state.track].observations.front().sweep > sweep &&
            tracks_[owner].observations.back().sweep == sweep;
   }
 
   /// Whether what a track is matched with stood there already in the sweep that saw the track last:
   /// then it is something else, though a track that was hidden could have gone there.
-  bool was_there(const TrackEnd& end, std::size_t sweep, const Match& match) const {
-    if (sweeps_between(end, sweep) < 2) return false;
-    const Detections& then = *end.seen;
+  bool was_occupied_before(const TrackState& state, std::size_t sweep, const Detections& detections,
+                           const Match& match) const {
+    if (sweeps_between(state, sweep) < 2) return false;
+    const Detections& then = *state.detections;
     const auto stood = [&](std::uint32_t k) {
-      const Detection& object = detections_[sweep][k];
+      const Detection& object = detections[k];
       const auto lies_on = [&](const SampledPoints& others) {
         return matched_share(object.samples(), Vector::Zero(), others) >= kMinMemberShare;
       };
-      if (object.is_passing() || lies_on(end.samples.points)) return false;
+      if (object.is_transient() || lies_on(state.samples.points)) return false;
       for (std::uint32_t of = 0; of < then.size(); ++of)
-        if (owners_[end.sweep][of] != end.track && !then[of].is_passing() &&
+        if (owners_[state.sweep][of] != state.track && !then[of].is_transient() &&
             then[of].box.overlaps(object.box, kMatchDistance) && lies_on(then[of].samples()))
           return true;
       return false;
@@ -308,22 +284,23 @@ class Tracker {
     return std::any_of(match.objects.begin(), match.objects.end(), stood);
   }
 
-  DetectionWindow& detections_;
-  EgoPlaces ego_;
-  const std::vector<double>& times_;
-  const TrackParameters& p_;
+  ReadDetections read_;
+  EgoBody ego_;
+  std::vector<double> times_;
+  TrackingOptions options_;
   std::vector<Track> tracks_;
-  std::vector<std::vector<int>> owners_;  ///< of each detection of each sweep
-  std::vector<Speed> last_speeds_;        ///< of each track, at its last observation
-  std::vector<TrackEnd> alive_;
-  std::vector<int> gone_, joined_;  ///< tracks that are followed on from another beginning
+  std::vector<std::vector<int>> owners_;           ///< of each detection of each sweep
+  std::vector<VelocityEstimate> last_velocities_;  ///< of each track, at its last observation
+  std::vector<TrackState> active_;
+  std::vector<int> merged_;    ///< tracks that an earlier one was put before, in this sweep
+  std::vector<int> reopened_;  ///< tracks that are followed on from another beginning
 };
 
 }  // namespace
 
-std::vector<Track> follow_objects(DetectionWindow& detections, const std::vector<double>& times,
-                                  const TrackParameters& p) {
-  return Tracker(detections, times, p).run();
+std::vector<Track> follow_objects(const ReadDetections& read, const std::vector<double>& times,
+                                  const TrackingOptions& options) {
+  return Tracker(read, times, options).run();
 }
 
 }  // namespace docdepth

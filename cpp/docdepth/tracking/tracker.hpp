@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "docdepth/tracking/detection_window.hpp"
-#include "docdepth/tracking/parameters.hpp"
+#include "docdepth/tracking/options.hpp"
 #include "docdepth/tracking/track.hpp"
 
 namespace docdepth {
@@ -17,10 +17,10 @@ namespace docdepth {
 /// object is followed to where it stands before or after, and to where no key frame looked. After a
 /// gap it does not go on with what stood there already. Two tracks become one where the later,
 /// followed backward, meets the end of the earlier. What the LiDAR sees of its own vehicle is not
-/// tracked (EgoPlaces).
+/// tracked (EgoBody).
 ///
 /// @param times  of the sweeps [s]
-std::vector<Track> follow_objects(DetectionWindow& detections, const std::vector<double>& times,
-                                  const TrackParameters& p);
+std::vector<Track> follow_objects(const ReadDetections& read, const std::vector<double>& times,
+                                  const TrackingOptions& options);
 
 }  // namespace docdepth

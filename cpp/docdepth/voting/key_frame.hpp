@@ -46,7 +46,7 @@ struct Votes {
   /// 1 if the place was free, and was occupied in one stretch of time only, around the sweep. So it
   /// is where something arrives, leaves or passes. Twigs and fences are found free and occupied in
   /// turn.
-  std::vector<std::uint8_t> one_stay;
+  std::vector<std::uint8_t> occupied_once;
   /// The first and the last key frame that found the place occupied; kNever if none did.
   std::vector<std::uint16_t> first_occupied, last_occupied;
   static constexpr std::uint16_t kNever = 0xffff;

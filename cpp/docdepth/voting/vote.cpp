@@ -168,7 +168,7 @@ Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
     for (std::size_t i = 0; i < query.size(); ++i) {
       votes.statics[query.index[i]] = tally.statics[i];
       votes.dynamics[query.index[i]] = tally.dynamics[i];
-      votes.one_stay[query.index[i]] = tally.dynamics[i] > 0 && tally.stays[i] != kInTurn;
+      votes.occupied_once[query.index[i]] = tally.dynamics[i] > 0 && tally.stays[i] != kInTurn;
       votes.first_occupied[query.index[i]] = tally.first[i];
       votes.last_occupied[query.index[i]] = tally.last[i];
     }

@@ -11,7 +11,7 @@ TEST_CASE("the window says which sweeps feed the dynamic voxels") {
   // Five sweeps at 5 Hz. Only the last one, 0.4 s after the middle one, saw a dynamic object.
   const SampledPoints samples(4, Eigen::Vector3f(0.5f, 0.5f, 0.5f));
   Detection seen;
-  seen.points = seen.dynamic = 10;
+  seen.points = seen.dynamic_points = 10;
   seen.area = seen.dynamic_area = 10;
   seen.box = extent_of(samples);
   seen.surface.points = samples;
@@ -30,10 +30,9 @@ TEST_CASE("the window says which sweeps feed the dynamic voxels") {
   CHECK(voxels(0.3) == std::vector<std::size_t>{0, 0, 0, 1, 0});
   CHECK(voxels(0.6) == std::vector<std::size_t>{0, 1, 1, 1, 0});
   CHECK(voxels(0) == std::vector<std::size_t>{0, 0, 0, 0, 0});
-  TrackParameters parameters;
-  parameters.window = 0.6;
   std::vector<std::size_t> counts;
-  track_objects([&](std::size_t i) { return detections[i]; }, times, parameters, 1,
-                [&](const TrackedSweep& sweep) { counts.push_back(sweep.voxels.size()); }, 2);
+  track_objects([&](std::size_t i) { return detections[i]; }, times, 1,
+                [&](const TrackedSweep& sweep) { counts.push_back(sweep.voxels.size()); }, 2,
+                {.window = 0.6});
   CHECK(counts == std::vector<std::size_t>{0, 1, 1, 1, 0});
 }

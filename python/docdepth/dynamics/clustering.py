@@ -9,9 +9,6 @@ import docdepth._core as _core
 from docdepth.geometry.points import check_sweep
 from docdepth.geometry.scan_mesh import ScanMesh
 
-OBJECT_PARAMETERS = _core.ObjectParameters()
-"""Constants of this module and of tracking: the defaults of the C++ structure."""
-
 
 def cluster_objects(
     points: NDArray[np.float32], ground: NDArray[np.bool_], mesh: ScanMesh | None = None
@@ -37,7 +34,7 @@ def cluster_objects(
         A shape or dtype is wrong.
     """
     points, ground = check_sweep(points, ground)
-    return _core.cluster_objects(points, ground, (mesh or ScanMesh(points)).core, OBJECT_PARAMETERS)
+    return _core.cluster_objects(points, ground, (mesh or ScanMesh(points)).core)
 
 
 def classify_objects(
@@ -70,7 +67,5 @@ def classify_objects(
     ndarray of bool, shape (N,)
         True for dynamic.
     """
-    moving = _core.classify_objects(
-        points, ground, objects, static, dynamic, mesh.core, OBJECT_PARAMETERS
-    )
+    moving = _core.classify_objects(points, ground, objects, static, dynamic, mesh.core)
     return moving.view(np.bool_)

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import docdepth._core as _core
-from docdepth.dynamics.clustering import OBJECT_PARAMETERS
 from docdepth.dynamics.tracking import TrackedSweep
 from docdepth.dynamics.voting import Votes
 from docdepth.geometry.points import DYNAMIC, STATIC
@@ -67,14 +66,11 @@ def label_by_tracks(
         static,
         dynamic,
         T_world_lidar,
-        result.boxes[result.box_tracks[:, 1] > 0],
+        result.boxes[result.boxes["is_moving"] > 0],
         result.voxels,
         moving,
-        OBJECT_PARAMETERS,
     ).view(np.bool_)
-    every = _core.add_isolated_points(
-        points, ground, objects, static, dynamic, inside, OBJECT_PARAMETERS
-    )
+    every = _core.add_isolated_points(points, ground, objects, static, dynamic, inside)
     classid = np.where(every, np.uint16(DYNAMIC), classid)
     return classid, _instances(points, objects, classid >= DYNAMIC, result, T_world_lidar)
 
@@ -88,19 +84,19 @@ def _instances(
 ) -> NDArray[np.uint16]:
     """The track of each dynamic point: that of its object, else that of the nearest box."""
     track_of = np.zeros(len(objects), np.uint32)
-    first, tracks, _ = result.members.T
-    track_of[first[::-1]] = tracks[::-1]  # the longest track has the lowest number
+    members = result.members[::-1]  # the longest track has the lowest number
+    track_of[members["first"]] = members["track"]
     instance = np.where(dynamic, track_of[objects], 0)
     loose = np.flatnonzero(dynamic & (instance == 0))
     if len(loose) and len(result.boxes):
         places = points[loose] @ T_world_lidar[:3, :3].T + T_world_lidar[:3, 3]
-        T = result.boxes[:, :12].reshape(-1, 3, 4)
+        T = result.boxes["T_box_world"]
         inside = np.einsum("kij,nj->kni", T[:, :, :3], places) + T[:, None, :, 3]
-        off = np.abs(inside) - result.boxes[:, None, 12:]
+        off = np.abs(inside) - result.boxes["half_size"][:, None]
         distance = np.linalg.norm(np.maximum(off, 0), axis=2)
         nearest = distance.argmin(axis=0)
         near = distance[nearest, np.arange(len(loose))] <= BOX_MARGIN
-        instance[loose[near]] = result.box_tracks[nearest[near], 0]
+        instance[loose[near]] = result.boxes["track"][nearest[near]]
     return np.where(instance <= MAX_TRACKS, instance, 0).astype(np.uint16)
 
 

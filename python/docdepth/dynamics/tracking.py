@@ -18,9 +18,6 @@ from docdepth.geometry.trajectory import Trajectory
 
 log = logging.getLogger(__name__)
 
-TRACK_PARAMETERS = _core.TrackParameters()
-"""Constants of :func:`track_objects`: the defaults of the C++ structure."""
-
 PERSON_SIZE = (2.2, 1.3, 2.2)
 """A person or cyclist is at most this long, wide and high [m]."""
 
@@ -41,28 +38,37 @@ _HELD_SWEEPS = 32
 track goes on, so that few are read again."""
 
 
+_MEMBER = np.dtype([("first", "u4"), ("track", "u4"), ("is_dynamic", "u4")])
+_BOX = np.dtype(
+    [
+        ("track", "u4"),
+        ("is_moving", "u4"),
+        ("T_box_world", "f4", (3, 4)),
+        ("half_size", "f4", (3,)),
+    ]
+)
+"""Rows of the core."""
+
+
 class TrackedSweep(NamedTuple):
     """What :func:`track_objects` finds in a sweep.
 
     Attributes
     ----------
-    members : ndarray of uint32, shape (n, 3)
-        Objects that belong to a track: first row (as :func:`cluster_objects` gives it), track, and
-        1 if the track makes it dynamic.
-    box_tracks : ndarray of uint32, shape (K, 2)
-        Track of each box, and 1 if it moves in this sweep.
-    boxes : ndarray of float32, shape (K, 15)
-        Objects in the frame of :func:`local_poses`: ``T_box_world`` (3, 4), row after row, and half
-        of the size. Points above the ground inside of a moving one are dynamic unless their votes
-        are clearly static.
+    members : structured ndarray, shape (n,)
+        Objects that belong to a track: ``first`` row (as :func:`cluster_objects` gives it),
+        ``track``, and ``is_dynamic``, 1 if the track makes it dynamic.
+    boxes : structured ndarray, shape (K,)
+        Objects in the frame of :func:`local_poses`: ``track``, ``is_moving``, 1 if it moves in this
+        sweep, ``T_box_world`` (3, 4) and ``half_size`` (3,) in metres. Points above the ground
+        inside of a moving one are dynamic unless their votes are clearly static.
     voxels : ndarray of uint64, shape (m,)
         Numbers of the voxels in which nearly everything moved in the sweeps just before and after;
         the same holds inside.
     """
 
-    members: NDArray[np.uint32] = np.zeros((0, 3), np.uint32)
-    box_tracks: NDArray[np.uint32] = np.zeros((0, 2), np.uint32)
-    boxes: NDArray[np.float32] = np.zeros((0, 15), np.float32)
+    members: NDArray[np.void] = np.zeros(0, _MEMBER)
+    boxes: NDArray[np.void] = np.zeros(0, _BOX)
     voxels: NDArray[np.uint64] = np.zeros(0, np.uint64)
 
     def __bool__(self) -> bool:
@@ -71,7 +77,7 @@ class TrackedSweep(NamedTuple):
     @property
     def dynamic(self) -> NDArray[np.uint32]:
         """First rows of the objects that tracks make dynamic."""
-        return self.members[self.members[:, 2] > 0, 0]
+        return np.ascontiguousarray(self.members["first"][self.members["is_dynamic"] > 0])
 
 
 TakeSweep = Callable[[TrackedSweep], None]
@@ -195,7 +201,6 @@ def track_objects(
     objects = _core.track_objects(
         lambda sweep: read(sweep)._core,
         (times - times[0]) * 1e-9,
-        TRACK_PARAMETERS,
         threads,
         lambda found: take(TrackedSweep(*found)),
         _HELD_SWEEPS,

@@ -47,7 +47,7 @@ from docdepth.pipeline.stored_tracks import are_stored, store_tracks, stored_swe
 _EVIDENCE = "evidence"
 """Folder in the notes of a run with what an interrupted stage goes on with."""
 
-_OF_EVIDENCE, _OF_DETECTIONS = 4, 7
+_OF_EVIDENCE, _OF_DETECTIONS = 4, 3
 """Arrays of a file of evidence."""
 
 _HELD_DETECTIONS = 64

@@ -1,16 +1,23 @@
-#include "docdepth/detections/ground_heights.hpp"
+#include "docdepth/detections/ground_grid.hpp"
 
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
-
-#include "docdepth/detections/constants.hpp"
 
 namespace docdepth {
 namespace {
 
 using Vector = Eigen::Vector3f;
 
+/// Ground is kept as cells of this edge, so far around the LiDAR [m].
+constexpr float kGroundCell = 1.0f;
+constexpr float kGroundRange = 100.0f;
+/// An object stands on the ground that lies this near to it [m].
+constexpr float kGroundReach = 5.0f;
+/// How exactly a cell tells the height at its place [m].
+constexpr double kGroundDeviation = 0.1;
+/// How steep ground may be [m/m].
+constexpr double kGroundSlope = 0.1;
 constexpr int kSide = int(2 * kGroundRange / kGroundCell);  // cells along each axis
 
 /// How far a coordinate lies outside of an interval; 0 inside.
@@ -20,8 +27,8 @@ float outside(float value, float low, float high) {
 
 }  // namespace
 
-GroundHeights::GroundHeights(const Points& points, const bool* ground,
-                             const RigidTransform& T_world_lidar)
+GroundGrid::GroundGrid(const Points& points, const bool* ground,
+                       const RigidTransform& T_world_lidar)
     : corner_{T_world_lidar.t[0] - kGroundRange, T_world_lidar.t[1] - kGroundRange},
       cells_(std::size_t(kSide) * kSide) {
   for (Eigen::Index i = 0; i < points.rows(); ++i) {
@@ -31,18 +38,19 @@ GroundHeights::GroundHeights(const Points& points, const bool* ground,
     if (x < 0 || y < 0 || x >= kSide || y >= kSide) continue;
     Cell& cell = cells_[std::size_t(x) * kSide + y];
     // Sums of differences keep their digits in single precision.
-    cell.sum += p.z() - T_world_lidar.t[2], ++cell.points;
+    cell.sum += p.z() - T_world_lidar.t[2];
+    ++cell.points;
   }
   height_ = T_world_lidar.t[2];
 }
 
 /// Cell along an axis; those beyond the border have numbers outside of the grid.
-int GroundHeights::column(float coordinate, int axis) const {
+int GroundGrid::column(float coordinate, int axis) const {
   const float cell = std::floor((coordinate - corner_[axis]) / kGroundCell);
   return int(std::clamp(cell, -1.0f, float(kSide)));
 }
 
-Height GroundHeights::under(const Extent& box) const {
+GroundHeight GroundGrid::under(const Extent& box) const {
   const Vector middle = 0.5f * (box.low + box.high);
   int first[2], last[2];
   for (int axis : {0, 1}) {

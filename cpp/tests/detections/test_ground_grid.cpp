@@ -4,7 +4,7 @@
 #include <memory>
 #include <vector>
 
-#include "docdepth/detections/ground_heights.hpp"
+#include "docdepth/detections/ground_grid.hpp"
 
 using namespace docdepth;
 
@@ -19,7 +19,7 @@ float height_at(float x, float y) {
 }
 
 /// Ground in a rectangle, seen by a LiDAR 1.7 m above it at (50, 20).
-GroundHeights ground(float low_x, float high_x, float low_y, float high_y) {
+GroundGrid ground(float low_x, float high_x, float low_y, float high_y) {
   std::vector<Eigen::Vector3f> points;
   const Eigen::Vector3f lidar(50, 20, height_at(50, 20) + 1.7f);
   for (float x = low_x; x < high_x; x += 0.23f)
@@ -32,7 +32,7 @@ GroundHeights ground(float low_x, float high_x, float low_y, float high_y) {
   for (std::size_t i = 0; i < points.size(); ++i) flags[i] = true;
   Pose T = Pose::Identity();
   T.translate(lidar.cast<double>());
-  return GroundHeights(rows, flags.get(), RigidTransform(T));
+  return GroundGrid(rows, flags.get(), RigidTransform(T));
 }
 
 const Extent kBox{{60, 20, 41}, {64, 22, 42.5f}};
@@ -41,11 +41,11 @@ const float kUnder = height_at(62, 21);
 }  // namespace
 
 TEST_CASE("the ground under an object is that around it, also uphill") {
-  const Height all_around = ground(52, 72, 12, 30).under(kBox);
+  const GroundHeight all_around = ground(52, 72, 12, 30).under(kBox);
   CHECK(std::fabs(all_around.value - kUnder) < 0.05f);
   CHECK(all_around.deviation < 0.15f);
   // Of what stands between the LiDAR and the ground behind it one side is seen.
-  const Height one_side = ground(52, 60, 12, 30).under(kBox);
+  const GroundHeight one_side = ground(52, 60, 12, 30).under(kBox);
   CHECK(std::fabs(one_side.value - kUnder) < 0.1f);
   CHECK(one_side.deviation > all_around.deviation);
 }

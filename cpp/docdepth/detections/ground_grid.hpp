@@ -11,18 +11,18 @@
 namespace docdepth {
 
 /// A height [m] and how wrong it may be [m]; infinite if nothing is known.
-struct Height {
+struct GroundHeight {
   float value = 0, deviation = std::numeric_limits<float>::infinity();
 };
 
 /// The ground that one sweep saw, as mean heights of square cells around the LiDAR.
-class GroundHeights {
+class GroundGrid {
  public:
-  GroundHeights(const Points& points, const bool* ground, const RigidTransform& T_world_lidar);
+  GroundGrid(const Points& points, const bool* ground, const RigidTransform& T_world_lidar);
 
   /// Under the middle of a box, from the plane through the ground around it: the nearer the more it
   /// counts, and as level as it can be.
-  Height under(const Extent& box) const;
+  GroundHeight under(const Extent& box) const;
 
  private:
   struct Cell {

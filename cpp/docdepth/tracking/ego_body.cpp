@@ -1,11 +1,18 @@
-#include "docdepth/tracking/ego_places.hpp"
+#include "docdepth/tracking/ego_body.hpp"
 
 #include <algorithm>
 
-#include "docdepth/detections/constants.hpp"
+#include "docdepth/tracking/constants.hpp"
 
 namespace docdepth {
 namespace {
+
+/// The vehicle that carries the LiDAR is what it sees within this distance [m]
+constexpr float kEgoReach = 3;
+/// at one place of its own frame in this share of the sweeps,
+constexpr float kEgoShare = 0.8f;
+/// while it goes so far [m]. Nothing else keeps beside it for a whole drive.
+constexpr float kMinEgoPath = 5;
 
 bool is_beside(const Detection& object) {
   return object.middle.norm() <= kEgoReach;
@@ -13,7 +20,7 @@ bool is_beside(const Detection& object) {
 
 }  // namespace
 
-void EgoPlaces::add(const Detections& seen) {
+void EgoBody::add(const Detections& seen) {
   ++sweeps_;
   for (const Detection& object : seen) {
     if (!is_beside(object)) continue;
@@ -30,7 +37,7 @@ void EgoPlaces::add(const Detections& seen) {
   }
 }
 
-bool EgoPlaces::hold(const Detection& object) const {
+bool EgoBody::contains(const Detection& object) const {
   return is_beside(object) && std::any_of(places_.begin(), places_.end(), [&](const Place& place) {
            return (place.middle - object.middle).norm() <= kSamePlace &&
                   float(place.sweeps) >= kEgoShare * float(sweeps_) &&

@@ -1,11 +1,10 @@
-#include "docdepth/paths/registration.hpp"
+#include "docdepth/paths/surface_alignment.hpp"
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 
-#include "docdepth/detections/constants.hpp"
 #include "docdepth/detections/quantile.hpp"
 
 namespace docdepth {
@@ -14,6 +13,33 @@ namespace {
 using Vector = Eigen::Vector3f;
 using Vector4 = Eigen::Vector4d;  // x, y, z, heading
 using Matrix4 = Eigen::Matrix4d;
+
+/// Partners are looked for within these distances, step by step [m].
+constexpr float kPartnerRadii[] = {0.6f, 0.6f, 0.4f, 0.3f, 0.3f};
+/// Where the object moved by more than this between neighbouring measurements [m], normals are
+/// fitted to the samples around each one,
+constexpr float kMaxBetweenNeighbors = 0.05f;
+/// within this radius [m], and to the nearest ones until they are so many,
+constexpr float kPlaneRadius = 0.5f;
+constexpr std::size_t kMinPlaneSamples = 5;
+/// up to this share of the object's horizontal diagonal away: samples of what is long are farther
+/// apart.
+constexpr float kPlaneShare = 0.11f;
+/// Normals are unknown where samples are spread across their plane by more than this share of how
+/// they are spread in it, squared.
+constexpr float kMaxPlaneThickness = 0.1f;
+/// An object ends where its outermost edge is, if it is no farther inside than this [m].
+constexpr float kEndMargin = 0.1f;
+/// Seen from the side, the ends of an object are known this exactly [m].
+constexpr double kEndDeviation = 0.1;
+/// Its side is seen if this share of its samples faces there.
+constexpr float kMinSideShare = 0.3f;
+/// Ends that are farther apart or closer than they should by more than this are those of a piece
+/// [m].
+constexpr float kMaxLengthError = 0.5f;
+/// Where a surface tells nothing: position [m] and heading [rad].
+constexpr double kUnknownPosition = 10;
+constexpr double kUnknownHeading = 1;
 
 /// Normal equations of the residuals of one step.
 struct Equations {
@@ -28,7 +54,7 @@ struct Equations {
 };
 
 /// The ends of a surface along x, where they are seen from the side.
-Ends ends_of(const SeenSurface& seen, const Eigen::Isometry3f& T_object_world) {
+Ends ends_of(const ObservedSurface& seen, const Eigen::Isometry3f& T_object_world) {
   const Eigen::RowVector3f along = T_object_world.linear().row(0),
                            across = T_object_world.linear().row(1);
   std::size_t sideways = 0;
@@ -41,7 +67,8 @@ Ends ends_of(const SeenSurface& seen, const Eigen::Isometry3f& T_object_world) {
     most[g][0] = most[g][1] = -INFINITY;
     for (const Vector& p : *groups[g]) {
       const float x = along * p + T_object_world.translation().x();
-      most[g][0] = std::max(most[g][0], -x), most[g][1] = std::max(most[g][1], x);
+      most[g][0] = std::max(most[g][0], -x);
+      most[g][1] = std::max(most[g][1], x);
     }
   }
   Ends ends;
@@ -56,7 +83,8 @@ Ends ends_of(const SeenSurface& seen, const Eigen::Isometry3f& T_object_world) {
 
 /// @param radius  farther samples are no partners [m]
 Equations equations_of(const SampledSurface& seen, const SampledSurface& model,
-                       const Eigen::Isometry3f& T_object_world, float radius) {
+                       const Eigen::Isometry3f& T_object_world, float radius,
+                       const AlignmentOptions& options) {
   Equations sum;
   for (std::size_t i = 0; i < seen.points.size(); ++i) {
     const Vector p = T_object_world * seen.points[i];
@@ -68,7 +96,8 @@ Equations equations_of(const SampledSurface& seen, const SampledSurface& model,
       if (!(squared < nearest)) continue;
       // Without a normal (zero) a sample is nobody's opposite.
       if (facing.dot(model.normals[j]) < 0) continue;
-      nearest = squared, partner = j;
+      nearest = squared;
+      partner = j;
     }
     if (partner == model.points.size()) continue;
     ++sum.matched;
@@ -82,7 +111,7 @@ Equations equations_of(const SampledSurface& seen, const SampledSurface& model,
       sum.add(slope, normal.dot(off), 1);
     }
     // Rings stay where they are while the object moves, so only horizontal distances tell.
-    const double weight = plane ? kPointWeight : kLonePointWeight;
+    const double weight = plane ? options.point_weight : options.lone_point_weight;
     sum.add({1, 0, 0, -p.y()}, off.x(), weight);
     sum.add({0, 1, 0, p.x()}, off.y(), weight);
   }
@@ -97,11 +126,11 @@ bool have_one_length(const Ends& a, const Ends& b) {
 
 /// The ends of a flat side tell where it is along itself. What looks like an end far from it is
 /// that of a piece: another object hides the rest.
-void add_ends(const SeenSurface& seen, const Ends& expected,
-              const Eigen::Isometry3f& T_object_world, Equations& sum) {
+void add_ends(const ObservedSurface& seen, const Ends& expected,
+              const Eigen::Isometry3f& T_object_world, double residual_deviation, Equations& sum) {
   const Ends found = ends_of(seen, T_object_world);
   if (!have_one_length(found, expected)) return;
-  const double weight = (kResidualDeviation * kResidualDeviation) / (kEndDeviation * kEndDeviation);
+  const double weight = (residual_deviation * residual_deviation) / (kEndDeviation * kEndDeviation);
   for (const auto& [end, known] :
        {std::pair(found.low, expected.low), std::pair(found.high, expected.high)})
     if (end && known && std::fabs(*end - *known) <= kMaxLengthError)
@@ -115,7 +144,9 @@ float time_between_neighbors(const SampledPoints& points, const std::vector<floa
     float nearest = INFINITY, apart = 0;
     for (std::size_t j = 0; j < points.size(); ++j) {
       const float squared = (points[j] - points[i]).squaredNorm();
-      if (j != i && squared < nearest) nearest = squared, apart = std::fabs(times[j] - times[i]);
+      if (j == i || !(squared < nearest)) continue;
+      nearest = squared;
+      apart = std::fabs(times[j] - times[i]);
     }
     sum += apart;
   }
@@ -144,7 +175,9 @@ void fit_normals(SampledSurface& surface) {
     for (const Vector& point : points) {
       const Vector off = point - points[i];
       if (off.squaredNorm() > radius_squared) continue;
-      sum += off, squares += off * off.transpose(), ++count;
+      sum += off;
+      squares += off * off.transpose();
+      ++count;
     }
     const Vector before = surface.normals[i];
     surface.normals[i].setZero();
@@ -159,25 +192,26 @@ void fit_normals(SampledSurface& surface) {
 
 }  // namespace
 
-SeenSurface SeenSurface::held(const Vector& velocity) const {
-  SeenSurface surface = *this;
+ObservedSurface ObservedSurface::deskewed(const Vector& velocity) const {
+  ObservedSurface surface = *this;
   const float speed = velocity.norm();
   const auto [first, last] = std::minmax_element(times.begin(), times.end());
-  const auto hold = [&](SampledPoints& moved, std::vector<float>& late) {
-    moved = docdepth::held(moved, late, velocity, 0);
+  const auto deskew = [&](SampledPoints& moved, std::vector<float>& late) {
+    moved = at_time(moved, late, velocity, 0);
     std::fill(late.begin(), late.end(), 0.0f);
   };
-  hold(surface.points, surface.times);
+  deskew(surface.points, surface.times);
   // Where a rosette measured neighbours at other times, the mesh of the sweep is not that of what
   // moved meanwhile.
   if (speed * (*last - *first) > kMaxBetweenNeighbors &&
       speed * time_between_neighbors(surface.points, times) > kMaxBetweenNeighbors)
     fit_normals(surface);
-  for (TimedPoints* border : {&surface.edges, &surface.hidden}) hold(border->points, border->times);
+  for (TimedPoints* border : {&surface.edges, &surface.hidden})
+    deskew(border->points, border->times);
   return surface;
 }
 
-void SurfaceModel::add(const SeenSurface& seen, const Pose& T_world_object) {
+void SurfaceModel::add(const ObservedSurface& seen, const Pose& T_world_object) {
   const Eigen::Isometry3f T = T_world_object.inverse().cast<float>();
   ++added_;
   const Ends ends = ends_of(seen, T);
@@ -211,21 +245,21 @@ double heading_of(const Pose& T) {
   return std::atan2(T.linear()(1, 0), T.linear()(0, 0));
 }
 
-Registration register_surface(const SeenSurface& seen, const SurfaceModel& model,
-                              const ExpectedPose& expected) {
+SurfaceAlignment align_surface(const ObservedSurface& seen, const SurfaceModel& model,
+                               const ExpectedPose& expected, const AlignmentOptions& options) {
   Pose T_object_world = expected.T_world_object.inverse();
   const Eigen::Matrix3d turn = T_object_world.linear();
   Matrix4 variance = Matrix4::Zero();
   variance.topLeftCorner<3, 3>() = turn * expected.covariance * turn.transpose();
   variance(3, 3) = expected.heading_variance;
   const Matrix4 prior = variance.ldlt().solve(Matrix4::Identity());
-  const double information = 1 / (kResidualDeviation * kResidualDeviation);
+  const double information = 1 / (options.residual_deviation * options.residual_deviation);
   Vector4 moved = Vector4::Zero();
   Equations last;
   const Ends model_ends = model.ends();
-  for (const float radius : kRegistrationRadii) {
-    last = equations_of(seen, model.surface(), T_object_world.cast<float>(), radius);
-    add_ends(seen, model_ends, T_object_world.cast<float>(), last);
+  for (const float radius : kPartnerRadii) {
+    last = equations_of(seen, model.surface(), T_object_world.cast<float>(), radius, options);
+    add_ends(seen, model_ends, T_object_world.cast<float>(), options.residual_deviation, last);
     const Vector4 gradient = information * last.gradient + prior * moved;
     const Vector4 step = -(information * last.hessian + prior).ldlt().solve(gradient);
     moved += step;
@@ -239,12 +273,12 @@ Registration register_surface(const SeenSurface& seen, const SurfaceModel& model
   const Matrix4 vague = unknown.cwiseAbs2().cwiseInverse().asDiagonal();
   const Matrix4 covariance = (information * last.hessian + vague).ldlt().solve(Matrix4::Identity());
   const Vector4 further = covariance * (prior - vague) * moved;
-  Registration result;
+  SurfaceAlignment result;
   result.T_world_object = T_object_world.inverse();
   const Eigen::Matrix3d back = result.T_world_object.linear();
   result.position = result.T_world_object * Eigen::Vector3d(-further.head<3>());
   result.covariance = back * covariance.topLeftCorner<3, 3>() * back.transpose();
-  result.covariance.diagonal().array() += kSurfaceDeviation * kSurfaceDeviation;
+  result.covariance.diagonal().array() += options.surface_deviation * options.surface_deviation;
   result.heading = heading_of(result.T_world_object) - further(3);
   result.heading_variance = covariance(3, 3);
   result.share = float(last.matched) / float(seen.points.size());

@@ -1,27 +1,18 @@
 // Tracks with their paths, and what kinds of things these are.
 #pragma once
 
-#include <memory>
-#include <utility>
 #include <vector>
 
 #include "docdepth/paths/track_path.hpp"
+#include "docdepth/tracking/track.hpp"
 
 namespace docdepth {
 
-/// A track and where its object is.
-struct TrackAndPath {
-  TrackAndPath(Track of, const SeenSurface* seen, const std::vector<double>& times,
-               const TrackParameters& p)
-      : track(std::move(of)), path(track, seen, times, p) {}
-  TrackAndPath(const TrackAndPath&) = delete;  // the path refers to the track
-  TrackAndPath& operator=(const TrackAndPath&) = delete;
-
+/// The track of one object, and where the object is.
+struct ObjectTrack {
   Track track;
   TrackPath path;
 };
-
-using Paths = std::vector<std::unique_ptr<const TrackAndPath>>;
 
 /// Whether it is large and solid enough for what comes and goes without being seen to move. Pieces
 /// of walls that show behind something are flat.
@@ -29,7 +20,7 @@ bool is_vehicle(const TrackPath& path);
 
 /// Whether it is the side of a lorry or a bus, which is all that is seen of it: long, thin, higher
 /// than any crash barrier, and in most sweeps its place was free before or after.
-bool is_side_of_vehicle(const TrackAndPath& followed);
+bool is_side_of_vehicle(const ObjectTrack& object);
 
 /// Whether it is the rear or the front of a vehicle, which is all that is seen of it: as wide as no
 /// person is, and flat along its way.
@@ -37,10 +28,10 @@ bool is_rear_of_vehicle(const TrackPath& path);
 
 /// Whether it is another long, thin thing that seems to go along itself. What is seen of a guard
 /// rail goes along with us, or with a car that hides the rest; or it is the side of a car.
-bool is_rail(const TrackAndPath& followed);
+bool is_rail(const ObjectTrack& object);
 
 /// Whether the object moves at some time: by its path, or as it was not there before or after.
-bool moves(const TrackAndPath& followed, const std::vector<double>& times,
-           const TrackParameters& p);
+bool moves(const ObjectTrack& object, const std::vector<double>& times,
+           const TrackingOptions& options);
 
 }  // namespace docdepth

@@ -1,4 +1,4 @@
-// Surfaces of one rigid object registered onto each other.
+// Surfaces of one rigid object aligned with each other.
 #pragma once
 
 #include <Eigen/Geometry>
@@ -13,12 +13,12 @@
 namespace docdepth {
 
 /// What a sweep saw of an object. Times are those after its observation [s].
-struct SeenSurface : TimedSurface {
+struct ObservedSurface : TimedSurface {
   TimedPoints edges, hidden;  ///< as in Detection
 
   /// All at the time of the observation: a sweep takes a tenth of a second, in which the far end
   /// of a lorry beside us has moved on by half a metre.
-  SeenSurface held(const Eigen::Vector3f& velocity) const;
+  ObservedSurface deskewed(const Eigen::Vector3f& velocity) const;
 };
 
 /// Where the ends of an object are along its x axis, if they are seen.
@@ -32,7 +32,7 @@ class SurfaceModel {
   /// @param voxel  edge of the voxels that keep one sample each [m]
   explicit SurfaceModel(float voxel) : voxel_(voxel) {}
 
-  void add(const SeenSurface& seen, const Pose& T_world_object);
+  void add(const ObservedSurface& seen, const Pose& T_world_object);
 
   const SampledSurface& surface() const { return surface_; }
   /// How many surfaces met the voxel of each sample.
@@ -56,7 +56,19 @@ struct ExpectedPose {
   double heading_variance;     ///< [rad^2]
 };
 
-struct Registration {
+struct AlignmentOptions {
+  /// Distance of samples from the plane of their partners [m]. It is that of noise and curvature,
+  /// times ten, since neighbouring samples err alike.
+  double residual_deviation = 0.2;
+  /// Weight of the horizontal distance between partners, beside their distance across the surface,
+  double point_weight = 0.003;
+  /// and where the plane of one of them is not known.
+  double lone_point_weight = 0.1;
+  /// Surfaces are known this exactly at best [m].
+  double surface_deviation = 0.02;
+};
+
+struct SurfaceAlignment {
   Pose T_world_object;         ///< by the surface and by what was expected
   Eigen::Vector3d position;    ///< by the surface alone
   Eigen::Matrix3d covariance;  ///< of it in the world, vast where the surface tells nothing [m^2]
@@ -66,8 +78,8 @@ struct Registration {
 };
 
 /// Move a surface onto a model: point to plane, with three translations and the heading.
-Registration register_surface(const SeenSurface& seen, const SurfaceModel& model,
-                              const ExpectedPose& expected);
+SurfaceAlignment align_surface(const ObservedSurface& seen, const SurfaceModel& model,
+                               const ExpectedPose& expected, const AlignmentOptions& options = {});
 
 double heading_of(const Pose& T);
 

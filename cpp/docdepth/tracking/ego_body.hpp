@@ -10,12 +10,12 @@ namespace docdepth {
 
 /// Places beside the LiDAR, in its own frame, where it sees something nearly always, wherever it
 /// is in the world: a mirror, a rack, a driver's shoulder.
-class EgoPlaces {
+class EgoBody {
  public:
   /// Look at the next sweep.
   void add(const Detections& seen);
   /// Whether an object is at such a place, by all sweeps that were added.
-  bool hold(const Detection& object) const;
+  bool contains(const Detection& object) const;
 
  private:
   struct Place {

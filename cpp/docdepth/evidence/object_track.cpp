@@ -1,0 +1,91 @@
+#include "docdepth/evidence/object_track.hpp"
+
+#include <algorithm>
+
+#include "docdepth/tracking/constants.hpp"
+
+namespace docdepth {
+namespace {
+
+/// Share of min_distance that a track goes while votes call it dynamic.
+constexpr float kMinVotedDistanceShare = 0.3f;
+/// An object that is never seen to move stands where for so long [s] this share of it was free, in
+/// the mean.
+constexpr double kFreeWindow = 2;
+constexpr float kMeanFreeShare = 0.4f;
+/// A vehicle is at least this wide from any side, and this high [m].
+constexpr float kMinVehicleWidth = 0.5f;
+constexpr float kMinVehicleHeight = 0.6f;
+/// Objects higher than this are vegetation unless they travel farther than their length [m]: trams
+/// are lower.
+constexpr float kMaxVehicleHeight = 5;
+/// Longer than a motorcycle with its rider [m].
+constexpr float kMinRailLength = 2.5f;
+/// Crash barriers are no higher [m].
+constexpr float kMaxRailHeight = 1.2f;
+
+/// Whether for a while much of it was found where nothing was before or after.
+bool appears(const std::vector<TrackObservation>& seen, const std::vector<double>& times,
+             int min_detections) {
+  float share = 0;
+  std::size_t first = 0;
+  for (std::size_t k = 0; k < seen.size(); ++k) {
+    share += seen[k].free_area / seen[k].area;
+    while (times[seen[k].sweep] - times[seen[first].sweep] > kFreeWindow + kTimeTolerance) {
+      share -= seen[first].free_area / seen[first].area;
+      ++first;
+    }
+    const auto count = float(k + 1 - first);
+    if (times[seen[k].sweep] - times[seen[first].sweep] >= kFreeWindow / 2 &&
+        share >= kMeanFreeShare * count && int(count) >= min_detections)
+      return true;
+  }
+  return false;
+}
+
+/// Whether it is higher than anything that drives, and does not go anywhere: a tree.
+bool sways(const TrackPath& path) {
+  const Eigen::Vector3f size = path.extent().size();
+  return size.z() > kMaxVehicleHeight && path.distance() < size.head<2>().maxCoeff();
+}
+
+bool is_thin(const TrackPath& path) {
+  const Eigen::Vector3f size = path.extent().size();
+  return path.is_rigid() && size.x() >= kMinRailLength && size.y() < kMinVehicleWidth;
+}
+
+}  // namespace
+
+bool is_side_of_vehicle(const ObjectTrack& object) {
+  const auto& [track, path] = object;
+  return is_thin(path) && path.extent().size().z() >= kMaxRailHeight &&
+         2 * track.transient_count >= int(track.observations.size());
+}
+
+bool is_rear_of_vehicle(const TrackPath& path) {
+  const Eigen::Vector3f size = path.extent().size();
+  return path.is_rigid() && size.x() < kMinVehicleWidth && size.y() >= kMinRigidWidth &&
+         size.z() >= kMinVehicleHeight;
+}
+
+bool is_rail(const ObjectTrack& object) {
+  return is_thin(object.path) && !is_side_of_vehicle(object);
+}
+
+bool is_vehicle(const TrackPath& path) {
+  const Eigen::Vector3f size = path.extent().size();
+  return path.is_rigid() && size.head<2>().minCoeff() >= kMinVehicleWidth &&
+         size.z() >= kMinVehicleHeight;
+}
+
+bool moves(const ObjectTrack& object, const std::vector<double>& times,
+           const TrackingOptions& options) {
+  const auto& [track, path] = object;
+  if (track.transient_count < options.min_detections || sways(path)) return false;
+  if (path.distance() >= options.min_distance &&
+      path.transient_distance() >= kMinVotedDistanceShare * options.min_distance)
+    return true;
+  return is_vehicle(path) && appears(track.observations, times, options.min_detections);
+}
+
+}  // namespace docdepth

@@ -1,0 +1,255 @@
+#include "docdepth/evidence/track_evidence.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
+#include <utility>
+
+#include "docdepth/detections/classification.hpp"
+#include "docdepth/tracking/constants.hpp"
+#include "docdepth/tracking/neighbors.hpp"
+
+namespace docdepth {
+namespace {
+
+using Vector = Eigen::Vector3f;
+
+/// Of an object that was always there edges seem free, at most this share of its area.
+constexpr float kFreeEdges = 0.15f;
+/// Narrower objects are static [m]: poles.
+constexpr float kMinTrackedWidth = 0.3f;
+/// How much rounding may move a box [m].
+constexpr float kRoundingMargin = 0.1f;
+/// A track supports as much static area as was transient in one sweep, or in all sweeps together
+/// divided by this.
+constexpr float kTotalSupportDivisor = 8;
+/// An object surely was at a place that is closer than so many standard deviations.
+constexpr double kSureDeviations = 2;
+/// A place belongs to another vehicle if this share of an object would lie in its box: in a queue
+/// they stand where others stood.
+constexpr float kQueueShare = 0.25f;
+/// Longer than any van [m]: where its rear stands its front was long before.
+constexpr float kMinLongVehicle = 8;
+
+}  // namespace
+
+TrackEvidence::TrackEvidence(ObjectTrack object, std::uint32_t number,
+                             const std::vector<double>& times, const TrackingOptions& options)
+    : object_(std::move(object)),
+      number_(number),
+      options_(options),
+      sweeps_(int(times.size())),
+      is_rail_(is_rail(object_)),
+      is_vehicle_((is_vehicle(object_.path) && object_.path.is_wide_while_transient()) ||
+                  is_side_of_vehicle(object_)) {
+  const auto& observations = object_.track.observations;
+  float total = 0;
+  for (const TrackObservation& seen : observations) {
+    stamps_.push_back(times[seen.sweep]);
+    total += seen.transient_area;
+    supported_ = std::max(supported_, seen.transient_area);
+  }
+  // Of a vehicle each sweep may show another part, of a person each shows about half.
+  if (is_vehicle_) supported_ = std::max(supported_, total / kTotalSupportDivisor);
+  seen_to_move_ = is_seen_to_move();
+  const auto is_unsure = [&](std::size_t k) { return object_.path.deviation(k) > kSamePlace; };
+  std::size_t first = 0, end = observations.size();
+  while (first < end && is_unsure(first)) ++first;
+  while (first < end && is_unsure(end - 1)) --end;
+  is_known_ = first < end;
+  if (!is_known_) return;
+  first_ = place_of(first);
+  last_ = place_of(end - 1);
+}
+
+bool TrackEvidence::stands_before() const {
+  return is_known_ && object_.path.speed(first_.time) < kStanding;
+}
+
+bool TrackEvidence::stands_after() const {
+  return is_known_ && object_.path.speed(last_.time) < kStanding;
+}
+
+bool TrackEvidence::covers(double time) const {
+  return object_.path.covers(time) || (time < first_.time && stands_before()) ||
+         (time > last_.time && stands_after());
+}
+
+/// Whether it moved while the votes called it dynamic.
+bool TrackEvidence::is_seen_to_move() const {
+  const auto& observations = object_.track.observations;
+  std::optional<Eigen::Vector2d> first;
+  double most = 0;
+  for (std::size_t n = 0; n < observations.size(); ++n) {
+    if (!observations[n].is_dynamic) continue;
+    const Eigen::Vector2d place = object_.path.pose(stamps_[n]).translation().head<2>();
+    if (!first) first = place;
+    most = std::max(most, (place - *first).norm());
+  }
+  return most >= options_.min_distance;
+}
+
+bool TrackEvidence::makes_dynamic(double time, const Detection& object, bool is_member,
+                                  const std::vector<TrackedSweep>& tracked) {
+  if (is_rail_) return false;
+  if (object.dynamic_points == object.points || object.box.width() < kMinTrackedWidth) return false;
+  if (object.area - object.dynamic_area > supported_) return false;
+  if (!is_known_) return is_member && object.was_free();
+  // Before and after the places that are known the object stands at the first or the last of them.
+  // A track that is lost may go on with something else, elsewhere.
+  const bool is_elsewhere = (time < first_.time && !object.box.overlaps(first_.extent, 0)) ||
+                            (time > last_.time && !object.box.overlaps(last_.extent, 0));
+  if (is_elsewhere) return is_member && object.was_free();
+  const double known = std::clamp(time, first_.time, last_.time);
+  if (is_member) return was_free(object, known, tracked);
+  if (!lies_there(object, known, kSearchMargin) || !was_free(object, known, tracked)) return false;
+  // Before it is first seen, and after it is last seen, something else may stand there.
+  if (known != time &&
+      was_less_free(object, occupancy_at(object_.path.pose(known).translation()).free_share))
+    return false;
+  if (object.free_area >= kFreeEdges * object.area) return true;
+  // Beside where it only passes, and where it is not seen any more, something else may stand.
+  if (!object_.path.covers(time)) return false;
+  return object_.path.speed(known) < kSlow ||
+         (object_.path.is_rigid() && lies_there(object, known, kObjectMargin));
+}
+
+bool TrackEvidence::are_apart(double time, const Detection& object, const Detection& best) const {
+  if (!was_less_free(object, best.transient_share())) return false;
+  const Vector across = object_.path.pose(time).linear().col(1).cast<float>();
+  float low = INFINITY, high = -INFINITY;
+  for (const Detection* of : {&object, &best})
+    for (const Vector& p : of->samples()) {
+      low = std::min(low, across.dot(p));
+      high = std::max(high, across.dot(p));
+    }
+  return high - low > kMaxVehicleWidth;
+}
+
+TrackEvidence::KnownPlace TrackEvidence::place_of(std::size_t observation) const {
+  const OrientedBox box = object_.path.box(stamps_[observation]);
+  const Eigen::Isometry3f T = box.T_box_world.inverse();
+  const Vector half = box.half.array() + (kSearchMargin + kRoundingMargin);
+  const Vector reach = T.linear().cwiseAbs() * half;
+  return {.time = stamps_[observation],
+          .deviation = object_.path.deviation(observation),
+          .extent = {T.translation() - reach, T.translation() + reach}};
+}
+
+bool TrackEvidence::lies_there(const Detection& object, double time, float margin) const {
+  if (!(options_.window > 0)) return false;
+  const OrientedBox box = object_.path.box(time);
+  const auto inside = [&](const Vector& p) { return box.contains(p, margin); };
+  const float bottom = box.middle().z() - box.half.z();
+  return object.box.high.z() >= bottom + kMinTrackedHeight &&
+         std::all_of(object.samples().begin(), object.samples().end(), inside);
+}
+
+/// Whether the place of a detection was free before or after: by its own votes, or as it was
+/// occupied only while the object stood there, which came or left. In a queue other vehicles stood
+/// there before or after.
+bool TrackEvidence::was_free(const Detection& object, double time,
+                             const std::vector<TrackedSweep>& tracked) {
+  if (object.was_free()) return true;
+  // Where a person stops, some of his place was seen free before. A bin beside him was not, though
+  // a narrow view may see it only from then on.
+  const bool was_partly_free = object.free_area >= kFreeEdges * object.area;
+  if (!is_vehicle_ && !was_partly_free) return false;
+  const Occupancy& occupancy = occupancy_at(object_.path.pose(time).translation());
+  const int count = seen_to_move_ ? occupancy.free_count : occupancy.transient_count;
+  const bool free = occupancy.free_share >= kFreeEdges && count >= options_.min_detections;
+  const bool came = is_vehicle_ && seen_to_move_;
+  if (!free && !came) return false;
+  // Something may have hidden most of what was always there, so it is enough if a quarter of it was
+  // known before the object came. Far away few rays tell that, and some are wrong: where more than
+  // edges was seen free, half is needed.
+  const auto [since, until] = was_partly_free
+                                  ? std::pair(object.first_occupied, object.last_occupied)
+                                  : std::pair(object.stands_since, object.stands_until);
+  const double share = was_partly_free ? 0.5 : kStandingShare;
+  const auto is_of_vehicle_in = [&](std::int32_t sweep) {
+    return came && is_of_vehicle(object, tracked[std::size_t(sweep)]);
+  };
+  return (since >= first_over(object, occupancy, share) ||
+          is_of_vehicle_in(object.first_occupied)) &&
+         (until <= last_over(object, occupancy, share) || is_of_vehicle_in(object.last_occupied));
+}
+
+/// Whether much of the place of a detection belongs to a vehicle that moves, in a sweep: another
+/// one, or the front of this one, if it is long.
+bool TrackEvidence::is_of_vehicle(const Detection& object, const TrackedSweep& sweep) const {
+  const auto& samples = object.samples();
+  const bool is_long = object_.path.extent().size().x() >= kMinLongVehicle;
+  return std::any_of(sweep.boxes.begin(), sweep.boxes.end(), [&](const TrackedBox& of) {
+    const auto inside = [&](const Vector& p) { return of.box.contains(p, kSearchMargin); };
+    return (is_long || of.track != number_) &&
+           2 * of.box.half.head<2>().maxCoeff() >= kMinRigidWidth &&
+           std::count_if(samples.begin(), samples.end(), inside) >=
+               kQueueShare * float(samples.size());
+  });
+}
+
+const TrackEvidence::Occupancy& TrackEvidence::occupancy_at(const Eigen::Vector3d& place) {
+  for (const Occupancy& occupancy : occupancies_)
+    if ((occupancy.place - place).norm() <= kSamePlace / 2) return occupancy;
+  const auto is_there = [&](const KnownPlace& known) {
+    const double off = (object_.path.pose(known.time).translation() - place).norm();
+    return off <= kSamePlace + kSureDeviations * known.deviation;
+  };
+  Occupancy occupancy{.place = place, .from_begin = is_there(first_), .to_end = is_there(last_)};
+  int count = 0;
+  const float half = object_.path.extent().size().head<2>().norm() / 2;
+  const auto& observations = object_.track.observations;
+  for (std::size_t n = 0; n < observations.size(); ++n) {
+    const double away = (object_.path.pose(stamps_[n]).translation() - place).norm();
+    if (away > std::max(half, kSamePlace)) continue;
+    const float share = observations[n].free_area / observations[n].area;
+    occupancy.transient_count += observations[n].is_mostly_transient();
+    occupancy.free_count += share >= kFreeEdges;
+    occupancy.free_share += share;
+    ++count;
+  }
+  occupancy.free_share /= float(std::max(count, 1));
+  occupancies_.push_back(occupancy);
+  return occupancies_.back();
+}
+
+/// The first sweep in which it covers a share of the place of a detection.
+int TrackEvidence::first_over(const Detection& object, const Occupancy& occupancy,
+                              double share) const {
+  if (occupancy.from_begin) return 0;
+  const auto& observations = object_.track.observations;
+  for (std::size_t n = 0; n < observations.size(); ++n)
+    if (lies_over(n, object, occupancy, share)) return int(observations[n].sweep);
+  return sweeps_;
+}
+
+/// The last one.
+int TrackEvidence::last_over(const Detection& object, const Occupancy& occupancy,
+                             double share) const {
+  if (occupancy.to_end) return sweeps_;
+  const auto& observations = object_.track.observations;
+  for (std::size_t n = observations.size(); n-- > 0;)
+    if (lies_over(n, object, occupancy, share)) return int(observations[n].sweep);
+  return -1;
+}
+
+/// By how far it is from there, or by its box. But what is wider than a vehicle was seen together
+/// with something that stood beside it, and only its box at that time tells what it covers. Points
+/// crowd where an object is near, samples do not: half of the share is asked of them.
+bool TrackEvidence::lies_over(std::size_t observation, const Detection& object,
+                              const Occupancy& occupancy, double share) const {
+  const double time = stamps_[observation];
+  const Vector size = object_.path.extent().size();
+  const bool is_one = size.y() <= kMaxVehicleWidth;
+  const double away = (object_.path.pose(time).translation() - occupancy.place).norm();
+  if (is_one && away <= std::max((1 - share) * size.head<2>().norm(), double(kSamePlace)))
+    return true;
+  const OrientedBox box = is_one ? object_.path.whole_box(time) : object_.path.box(time);
+  const auto& samples = object.samples();
+  const auto inside = [&](const Vector& p) { return box.contains(p, kSearchMargin); };
+  return std::count_if(samples.begin(), samples.end(), inside) >=
+         share / 2 * double(samples.size());
+}
+
+}  // namespace docdepth
