@@ -218,7 +218,7 @@ def read_settings(
         known = {**(usual or {}), **given} if isinstance(given, dict) else given or usual or {}
         settings = model.model_validate(known)
     except ValidationError as error:
-        raise DatasetError(f"{file}: {_reasons(error, model)}") from None
+        raise DatasetError(f"{file}: {reasons(error, model)}") from None
     settings.check(file)
     return settings, file
 
@@ -266,7 +266,8 @@ def transform(numbers: list[float] | None, where: str) -> NDArray[np.float64]:
     return nearest if np.abs(nearest - T).max() > _WHOLE else T
 
 
-def _reasons(error: ValidationError, model: type[EgoSettings]) -> str:
+def reasons(error: ValidationError, model: type[EgoSettings]) -> str:
+    """What is wrong with entries of a model."""
     unknown, reasons = [], []
     for one in error.errors():
         entry = ".".join(str(part) for part in one["loc"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from operator import index
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,6 +61,10 @@ class Camera(ShortRepr):
         object.__setattr__(self, "K", K)
         object.__setattr__(self, "width", width)
         object.__setattr__(self, "height", height)
+
+    def as_dict(self) -> dict[str, list[Any]]:
+        """Plain values that tell this camera from others."""
+        return {"K": self.K.tolist(), "size": [self.width, self.height]}
 
 
 def camera_of(K: ArrayLike, size: tuple[int, int], where: str) -> Camera:

@@ -186,8 +186,7 @@ class DepthFiles:
             "range": [NEAR, self.parameters.render.max_depth],
             "camera": {
                 "name": stream.name,
-                "K": stream.camera.K.tolist(),
-                "size": [stream.camera.width, stream.camera.height],
+                **stream.camera.as_dict(),
                 "T_camera_lidar": stream.T_camera_lidar.tolist(),
                 "distortion_of_images": stream.distortion_coefficients,
             },

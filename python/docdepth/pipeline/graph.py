@@ -118,8 +118,7 @@ def render_parts(classify_key: str | None, camera: RunCamera) -> Parts:
         "render": p.render.model_dump(mode="json"),
         "output": p.output.model_dump(mode="json"),
         "camera": {
-            "K": stream.camera.K.tolist(),
-            "size": [stream.camera.width, stream.camera.height],
+            **stream.camera.as_dict(),
             "distortion": stream.distortion_coefficients,
             "T_camera_lidar": stream.T_camera_lidar.tolist(),
             "times": stage_key(stream.times.tolist(), stream.names),

@@ -17,7 +17,7 @@ from docdepth.datasets.files import FILE, is_there, read_bytes, read_lines, sett
 from docdepth.datasets.format import Format
 from docdepth.datasets.formats.kitti_odometry_cameras import REMEDY, read_cameras
 from docdepth.datasets.kitti_files import Calibration
-from docdepth.datasets.settings import EgoSettings, check_up
+from docdepth.datasets.settings import EgoSettings, check_up, reasons
 from docdepth.datasets.times import read_times_of
 from docdepth.errors import Collector, DatasetError
 from docdepth.geometry.se3 import inverse
@@ -240,8 +240,8 @@ def _settings(file: Path) -> dict[str, Any]:
     known: dict[str, Any] = {
         "motion_compensated": True,
         "sensor_origin": None,
-        "ego_boxes": [],
         "up": None,
+        **EgoSettings().model_dump(),
     }
     if not is_there(file):
         return known
@@ -269,13 +269,11 @@ def _settings(file: Path) -> dict[str, Any]:
         raise DatasetError(f"{file}: sensor_origin must be [x, y, z] in metres, got {place}")
     check_up(known["up"], file)
     try:
-        ego = EgoSettings(ego_boxes=known["ego_boxes"])
-    except ValidationError:
-        raise DatasetError(
-            f"{file}: ego_boxes must be boxes [[x, x], [y, y], [z, z]] in metres"
-        ) from None
+        ego = EgoSettings(**{name: known[name] for name in EgoSettings.model_fields})
+    except ValidationError as error:
+        raise DatasetError(f"{file}: {reasons(error, EgoSettings)}") from None
     ego.check(file)
-    return known | {"ego_boxes": ego.ego_boxes}
+    return known | ego.model_dump()
 
 
 def _recognises(path: Path) -> bool:
