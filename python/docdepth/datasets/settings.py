@@ -9,11 +9,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from docdepth.datasets.files import is_there, read_lines, settings_file
+from docdepth.datasets.files import is_there, read_image, read_lines, settings_file
 from docdepth.datasets.point_times import Instant, Unit
 from docdepth.datasets.recording import RecordingOptions
 from docdepth.errors import CalibrationError, DatasetError, InputError
@@ -112,8 +113,12 @@ class EgoSettings(Strict):
     ego_boxes : list of [[x, x], [y, y], [z, z]]
         Least and greatest coordinates of boxes, metres in the LiDAR frame, whose points are of the
         vehicle itself and are left out.
+    masks : dict of str to (str or list of (float, float))
+        Pixels of a camera that get no depth, such as those of the own bonnet: see
+        :func:`camera_mask`.
     """
 
+    masks: dict[str, str | list[tuple[float, float]]] = Field(default_factory=dict)
     ego_boxes: Annotated[list[Numbers], BeforeValidator(_boxes)] = Field(default_factory=list)
 
     def check(self, file: Path) -> None:
@@ -221,6 +226,53 @@ def read_settings(
         raise DatasetError(f"{file}: {reasons(error, model)}") from None
     settings.check(file)
     return settings, file
+
+
+def masks_of_recording(recording: Path) -> dict[str, Path | list[tuple[float, float]]]:
+    """The entry ``masks`` of the settings of a recording; files are relative to its folder."""
+    file = settings_file(recording)
+    if not is_there(file):
+        return {}
+    given = parse_yaml("\n".join(read_lines(file, "write it again or remove it")))
+    masks = EgoSettings(masks=given.get("masks") or {}).masks if isinstance(given, dict) else {}
+    return {
+        camera: file.parent / mask if isinstance(mask, str) else mask
+        for camera, mask in masks.items()
+    }
+
+
+def camera_mask(camera: Camera, mask: Path | list[tuple[float, float]]) -> NDArray[np.bool_]:
+    """Pixels of a camera that show the world, (height, width).
+
+    Parameters
+    ----------
+    camera : Camera
+        The rectified camera, whose pixels the mask has.
+    mask : Path, or list of (x, y)
+        An image of the camera's size that is black where nothing of the world is seen, as COLMAP
+        and nerfstudio take it; or the corners of a polygon around such pixels.
+
+    Raises
+    ------
+    DatasetError
+        The file cannot be read.
+    CalibrationError
+        It has another size, or is black all over; the polygon has fewer than three corners.
+    """
+    if isinstance(mask, Path):
+        seen = read_image(mask, cv2.IMREAD_GRAYSCALE) > 0
+        if seen.shape != (camera.height, camera.width) or not seen.any():
+            raise CalibrationError(
+                f"{mask} has {seen.shape[1]}x{seen.shape[0]} pixels, {int(seen.sum())} of them not "
+                f"black; a mask has the {camera.width}x{camera.height} pixels of its camera, black "
+                "where nothing of the world is seen"
+            )
+        return seen
+    if len(mask) < 3:
+        raise CalibrationError(f"a mask is a polygon of [x, y] corners, at least three; got {mask}")
+    hidden = np.zeros((camera.height, camera.width), np.uint8)
+    cv2.fillPoly(hidden, [np.rint(mask).astype(np.int32)], 1)
+    return hidden == 0
 
 
 def check_up(up: object, file: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from hashlib import blake2b
 from operator import index
 from typing import Any
 
@@ -25,16 +26,20 @@ class Camera(ShortRepr):
         Width of the image in pixels.
     height : int
         Height of the image in pixels.
+    mask : ndarray of bool, shape (height, width), optional
+        True where the image shows the world. The other pixels, such as those of the own bonnet, get
+        no depth.
 
     Raises
     ------
     CalibrationError
-        K is not a pinhole matrix without skew, or does not fit the size.
+        K is not a pinhole matrix without skew, or K or the mask does not fit the size.
     """
 
     K: NDArray[np.float64]
     width: int
     height: int
+    mask: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         try:
@@ -58,13 +63,21 @@ class Camera(ShortRepr):
                 f"the principal point ({K[0, 2]:.1f}, {K[1, 2]:.1f}) lies outside the "
                 f"{width} x {height} image: the size does not fit K"
             )
+        if self.mask is not None and self.mask.shape != (height, width):
+            raise CalibrationError(
+                f"the mask has {' x '.join(map(str, self.mask.shape[::-1]))} pixels, the image "
+                f"{width} x {height}"
+            )
         object.__setattr__(self, "K", K)
         object.__setattr__(self, "width", width)
         object.__setattr__(self, "height", height)
 
-    def as_dict(self) -> dict[str, list[Any]]:
-        """Plain values that tell this camera from others."""
-        return {"K": self.K.tolist(), "size": [self.width, self.height]}
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values that tell this camera from others; of a mask a hash."""
+        described: dict[str, Any] = {"K": self.K.tolist(), "size": [self.width, self.height]}
+        if self.mask is not None:
+            described["mask"] = blake2b(np.packbits(self.mask).tobytes(), digest_size=8).hexdigest()
+        return described
 
 
 def camera_of(K: ArrayLike, size: tuple[int, int], where: str) -> Camera:

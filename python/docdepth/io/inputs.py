@@ -97,6 +97,11 @@ class RunInputs(Checked):
         "NAME.npy (classid) or NAME.pcd for each sweep, or a run. Nothing is classified then.",
         "DIR",
     )
+    mask: tuple[str, ...] | None = _field(
+        "Image of a camera's size that is black where it shows no world, such as the own bonnet: "
+        "these pixels get no depth. Repeat it for more cameras.",
+        "CAMERA:FILE",
+    )
     image_size: str | None = _field(
         "Size of the images in pixels, for a recording without images that does not tell it, for "
         "example 1242x375.",
@@ -120,6 +125,20 @@ class RunInputs(Checked):
         if not isinstance(names, str | list | tuple) or not all(isinstance(n, str) for n in names):
             return names
         return names_in(names)
+
+    @field_validator("mask", mode="before")
+    @classmethod
+    def _masks(cls, masks: Any) -> Any:
+        """``CAMERA:FILE``, or several."""
+        if masks is None:
+            return None
+        named = []
+        for text in [masks] if isinstance(masks, str) else masks:
+            camera, colon, file = str(text).partition(":")
+            if not camera or not colon or not file:
+                raise ValueError(f"`mask` is {text!r}; write CAMERA:FILE")
+            named.append(f"{camera}:{_absolute(file)}")
+        return tuple(named) or None
 
     @field_validator("poses", mode="before")
     @classmethod

@@ -24,6 +24,7 @@ from docdepth.datasets import (
 from docdepth.datasets.formats.docdepth_run import RunDataset
 from docdepth.datasets.images import read_image_of
 from docdepth.datasets.readable_frames import broken_frames_tolerated, first_readable
+from docdepth.datasets.settings import camera_mask, masks_of_recording
 from docdepth.datasets.times import read_times
 from docdepth.datasets.up_axis import LEVEL_DEG, LevelledRecording, ground_of
 from docdepth.diagnostics.sweeps import find_sensor_origin
@@ -283,11 +284,39 @@ def open_cameras(
             else replace(s, camera=Camera(s.camera.K, *size))
             for s in streams
         ]
+    streams = _with_masks(inputs, whole, streams)
     if inputs.camera_times is not None:
         streams = [_with_times(stream, inputs.camera_times) for stream in streams]
     if isinstance(recording, FrameRange):
         streams = [recording.part_of(stream) for stream in streams]
     return streams
+
+
+def _with_masks(
+    inputs: RunInputs, recording: Dataset, streams: list[CameraStream]
+) -> list[CameraStream]:
+    """The cameras with the masks of the recording, or of the inputs in their place.
+
+    Raises
+    ------
+    CalibrationError
+        A mask is of a camera that is not there, or has another size than it.
+    """
+    masks = masks_of_recording(recording.path)
+    for named in inputs.mask or ():
+        camera, _, file = named.partition(":")
+        masks[camera] = Path(file)
+    for name in masks.keys() - recording.cameras.keys():
+        raise CalibrationError(
+            f"{recording.path} has no camera {name!r} for a mask; it has "
+            f"{', '.join(recording.cameras) or 'none'}"
+        )
+    return [
+        replace(s, camera=replace(s.camera, mask=camera_mask(s.camera, masks[s.name])))
+        if s.name in masks
+        else s
+        for s in streams
+    ]
 
 
 def register(run: RunFolder, streams: Sequence[CameraStream]) -> None:

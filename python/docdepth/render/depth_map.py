@@ -81,4 +81,6 @@ def compose_depth(
         )  # fmt: skip
     # The nearest depth wins, so cutting the map at the far plane is cutting the points.
     depth[depth > p.max_depth] = np.nan
+    if camera.mask is not None:
+        depth[~camera.mask] = np.nan
     return depth
