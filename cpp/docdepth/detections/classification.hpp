@@ -17,7 +17,7 @@ struct ClassificationOptions {
   // --- Dynamic points are confirmed, or withdrawn ---
   /// Connected dynamic points (ClusteringOptions) confirm each other if there are this many.
   int min_cluster_size = 6;
-  ClusteringOptions clustering;
+  ClusteringOptions clustering{};
   /// A confirmed dynamic point within this distance confirms a single one [m].
   float neighbor_radius = 1.0f;
   /// So do this many dynamic votes of its own,

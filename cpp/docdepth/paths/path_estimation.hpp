@@ -101,7 +101,7 @@ struct PathOptions {
   int min_hits = 3;
   /// but for the outermost samples.
   double extent_quantile = 0.99;
-  AlignmentOptions alignment;
+  AlignmentOptions alignment{};
 };
 
 /// Where an object is at each observation of its track, or how the track is to be cut.

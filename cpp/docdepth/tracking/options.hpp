@@ -17,7 +17,7 @@ struct TrackingOptions {
   /// The extent of an object, and the dynamic voxels of a sweep, come from the sweeps within this
   /// time [s]. 0: only detections that belong to a track become dynamic.
   double window = 0.3;
-  MatchOptions matching;
+  MatchOptions matching{};
 };
 
 }  // namespace docdepth
