@@ -13,6 +13,7 @@ from docdepth._yaml_text import explain_yaml
 from docdepth.config import Parameters, Preset, departures, parameters
 from docdepth.errors import ConfigError
 from docdepth.io.inputs import RunInputs
+from docdepth.io.manifest import RunManifest
 
 _STAGES = tuple(name for name in Parameters.model_fields if name != "preset")
 
@@ -74,6 +75,8 @@ def read_config(path: Path) -> RunConfigFile:
         )
     is_run = "inputs" in tree or "parameters" in tree
     values = tree.get("parameters") if is_run else tree
+    if is_run and tree.keys() - RunManifest.model_fields.keys():
+        values = None
     try:
         inputs = RunInputs(**tree["inputs"]) if is_run and tree.get("inputs") else None
     except (ConfigError, TypeError):
