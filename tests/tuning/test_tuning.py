@@ -26,7 +26,7 @@ BASE = Trial("as the run", {})
 NARROW = Trial("narrow", {"dynamics.window": 1, "dynamics.fine_spacing": 0.5})
 LETTER = Trial("letter", {"preset": "paper", "ground.voxel_size": 0.1})
 BEHIND = Trial("behind", {"render.behind": 0.0})
-ALL = Trial("all", {"odometry.voxel_size": 1.5, "dynamics.tolerance": 0.4, "render.behind": 0.0})
+ALL = Trial("all", {"odometry.voxel_size": 2.0, "dynamics.tolerance": 0.8, "render.behind": 0.0})
 PATHS = ("odometry.voxel_size", "dynamics.tolerance")
 
 
