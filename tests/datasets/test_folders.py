@@ -323,7 +323,7 @@ def test_where_the_lidar_looks_from(folder: Path) -> None:
     [
         (
             {"motion_compansated": True},
-            "motion_compansated is unknown; there are ego_boxes, moti",
+            "motion_compansated is unknown; there are ego_boxes, masks, moti",
         ),
         ({"cameras": {"a": {"k": [1]}}}, "cameras.a.k is unknown"),
         ({"scene": "city", "seed": 3}, "scene, seed are unknown; there are ego_boxes, [^;]*$"),

@@ -118,8 +118,8 @@ class EgoSettings(Strict):
         :func:`camera_mask`.
     """
 
-    masks: dict[str, str | list[tuple[float, float]]] = Field(default_factory=dict)
     ego_boxes: Annotated[list[Numbers], BeforeValidator(_boxes)] = Field(default_factory=list)
+    masks: dict[str, str | list[tuple[float, float]]] = Field(default_factory=dict)
 
     def check(self, file: Path) -> None:
         """Refuse what is no box.
