@@ -77,7 +77,7 @@ $(VENV)/documented: $(SOURCES) | $(BIN)/python
 
 # Packages of the tools come down while the C++ core and its tests compile, in one build tree.
 BUILD := build/release
-LAUNCHER := $(if $(shell command -v ccache),-C cmake.define.CMAKE_CXX_COMPILER_LAUNCHER=ccache)
+LAUNCHER := $(if $(shell command -v ccache),CMAKE_CXX_COMPILER_LAUNCHER=ccache)
 $(VENV)/packages: pyproject.toml | $(BIN)/python
 	@echo "installing packages of docdepth[dev]"
 	@$(BIN)/python .ci/requirements.py dev > $(VENV)/requirements.txt
@@ -89,7 +89,7 @@ $(VENV)/built: $(SOURCES) | $(BIN)/python
 	@rm -rf $(BUILD)/wheel
 	@$(BIN)/pip wheel --verbose --no-deps --no-build-isolation --wheel-dir $(BUILD)/wheel \
 	  -C build-dir=$(BUILD) -C cmake.define.DOCDEPTH_TESTS=ON -C cmake.define.DOCDEPTH_WERROR=ON \
-	  $(LAUNCHER) . $(call progress,build)
+	  $(addprefix -C cmake.define.,$(LAUNCHER)) . $(call progress,build)
 	@touch $@
 
 $(VENV)/developed: $(VENV)/packages $(VENV)/built
@@ -115,7 +115,7 @@ sanitize: dev
 	$(BIN)/cmake -S . -B build/sanitize -G Ninja -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) \
 	  -DDOCDEPTH_WERROR=ON -DDOCDEPTH_PYTHON=OFF -DDOCDEPTH_TESTS=ON -DDOCDEPTH_SANITIZE=ON \
 	  -DDOCDEPTH_BENCHMARKS=ON -DCMAKE_BUILD_TYPE=RelWithDebInfo \
-	  -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1" $(patsubst -C cmake.define.%,-D%,$(LAUNCHER))
+	  -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1" $(addprefix -D,$(LAUNCHER))
 	$(BIN)/cmake --build build/sanitize
 	build/sanitize/docdepth_tests
 
