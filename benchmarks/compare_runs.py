@@ -76,7 +76,7 @@ def call(command: list[str]) -> None:
 def hashes(run: Path, frames: bool = False) -> dict[str, str]:
     """A hash of each file that holds results, and of the frames if wanted."""
     files = [run / "traj_odometry.ply", run / "tracks.csv"]
-    for kind in ("labels", "depth", "layers", *(["frames"] if frames else [])):
+    for kind in ("labels", "depth", "layers", *(["frames", "classes"] if frames else [])):
         files += sorted((run / kind).rglob("*"))
     return {
         path.relative_to(run).as_posix(): hashlib.blake2b(path.read_bytes()).hexdigest()[:16]

@@ -36,7 +36,7 @@ from docdepth.io.pcd import write_pcd
 from docdepth.io.poses import read_poses, read_timed_poses, write_kitti, write_tum
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import read_tracks
-from docdepth.pipeline.run_state import states
+from docdepth.pipeline.plan import states
 
 _POINTS = np.random.default_rng(3).normal(0, 20, (6, 3)).astype(np.float32)
 _POSES = np.repeat(np.eye(4)[None], 3, axis=0)

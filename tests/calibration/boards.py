@@ -14,7 +14,7 @@ from docdepth.calibration.board import Board
 from docdepth.calibration.calibrate import BoardPair
 from docdepth.calibration.lens import Lens
 from docdepth.calibration.sweeps import board_sweep
-from docdepth.geometry.se3 import rotation_exp
+from docdepth.geometry.se3 import inverse, rotation_exp
 
 Floats = NDArray[np.float64]
 
@@ -118,3 +118,27 @@ def pairs(poses: Sequence[Floats] | None = None) -> list[BoardPair]:
         BoardPair(p.name, p.corners[::-1] if k % 2 else p.corners, p.sweep)
         for k, p in enumerate(found)
     ]
+
+
+def picture(
+    board: Board, lens: Lens, T_camera_board: NDArray[np.float64], rng: np.random.Generator
+) -> NDArray[np.uint8]:
+    """An image of the board before a gray background, (height, width, 3)."""
+    v, u = np.indices((lens.height, lens.width), dtype=np.float64).reshape(2, -1)
+    rays = lens.rays(np.stack([u, v], axis=1))
+    directions = np.column_stack([rays, np.ones(len(rays))])
+    T = inverse(T_camera_board)
+    way, start = directions @ T[:3, :3].T, T[:3, 3]
+    share = -start[2] / way[:, 2]
+    places = start[:2] + share[:, None] * way[:, :2]
+    # Edges as soft as a pixel is wide.
+    pixel = (share / lens.K[0, 0])[:, None]
+    cell = places / board.square + 0.5 * np.array((board.columns + 1, board.rows + 1))
+    wave = np.sin(np.pi * cell) * board.square / np.pi / np.abs(pixel)
+    check = np.prod(np.clip(wave, -0.5, 0.5) * 2, axis=1)
+    inside = ((cell > 0) & (cell < (board.columns + 1, board.rows + 1))).all(axis=1)
+    tone = np.where(inside, 0.5 - 0.45 * check, 0.95)
+    shown = (board.distance(places) < 0) & (share > 0)
+    gray = np.where(shown, tone, 0.35) * 220 + rng.normal(0, 2, len(tone))
+    image = np.clip(gray, 0, 255).astype(np.uint8).reshape(lens.height, lens.width)
+    return np.repeat(image[..., None], 3, axis=2)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from boards import BOARD, LENS, T_CAMERA_LIDAR, all_poses, corners_of
+from boards import BOARD, LENS, T_CAMERA_LIDAR, all_poses, corners_of, picture
 
 from docdepth.calibration.board import Board, parse_board
 from docdepth.calibration.corners import board_pose, counted_corners, find_corners
@@ -90,10 +90,9 @@ def test_k_needs_images_of_this_board():
 
 
 def test_corners_are_found_to_a_fraction_of_a_pixel():
-    scenes = pytest.importorskip("calibration_scenes")
     T_lidar_board = all_poses()[2]
     T = T_CAMERA_LIDAR @ T_lidar_board
-    image = scenes.picture(BOARD, LENS, T, np.random.default_rng(1))
+    image = picture(BOARD, LENS, T, np.random.default_rng(1))
     for thorough in (True, False):
         found = find_corners(image, BOARD, thorough)
         exact = corners_of(T_lidar_board)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from boards import BOARD, LENS, T_CAMERA_LIDAR, all_poses, sweep_of
+from boards import BOARD, LENS, T_CAMERA_LIDAR, all_poses, picture, sweep_of
 
 from command_line import cli
 from docdepth.calibration.pairs import board_pairs
@@ -23,9 +23,8 @@ COUNT = 6
 
 @pytest.fixture(scope="module")
 def images() -> list[np.ndarray]:
-    scenes = pytest.importorskip("calibration_scenes")
     rng = np.random.default_rng(1)
-    return [scenes.picture(BOARD, LENS, T_CAMERA_LIDAR @ T, rng) for T in all_poses()[:COUNT]]
+    return [picture(BOARD, LENS, T_CAMERA_LIDAR @ T, rng) for T in all_poses()[:COUNT]]
 
 
 def write(folder: Path, images: list[np.ndarray], **camera: object) -> Path:
@@ -108,7 +107,7 @@ def test_pairs_of_a_bag(images, tmp_path, monkeypatch):
     [
         (("--box", "1,2,3"), "must be x,x,y,y,z,z, least and greatest of each, in metres"),
         (("--box", "pose1:2,1,0,1,0,1"), "must be x,x,y,y,z,z"),
-        (("--box", "pose9:1,2,0,1,0,1"), "--box names pose9, but front has no such image"),
+        (("--box", "pose9:1,2,0,1,0,1"), "`boxes` names pose9, but front has no such image"),
         (("--camera", "back"), "has no images of back; name one of front"),
         (("--corners", "5x7", "--square", "0.1"), "of 4x6 inner corners, not 5x7"),
         (("--square", "12"), "do not fit on a board of 0.68 x 0.96 m.*in metres"),

@@ -436,7 +436,6 @@ def test_a_mistake_is_answered(
         ("$DOCDEPTH run $'b\\xff' -o n", "not there"),
         ("ulimit -f 4; trap '' XFSZ; $DOCDEPTH run d -o n", "n/ too large"),
         ("mkdir gone; cd gone; rmdir ../gone; $DOCDEPTH run d -o n", "folder"),
-        ("DOCDEPTH_RENDERER=vulkan $DOCDEPTH run d -o n", "vulkan cpu"),
         ("$DOCDEPTH run d -o n & $DOCDEPTH run d -o n; code=$?; wait $!; exit $code", "in use"),
     ],
 )

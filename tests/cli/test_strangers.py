@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
+from docdepth.cli.changes import changes_since_start
 from docdepth.config import replaced
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.run_state import changes_since_start
 
 
 @pytest.fixture

@@ -69,7 +69,7 @@ def test_poses_that_jitter_are_named_with_the_size_of_it(tmp_path, drives) -> No
     )
     assert 0.03 < found.jitter < 0.08
     assert [f.code for f in found.findings] == ["jitter"]
-    assert seen[-1][0] == seen[-1][1] == len(seen)
+    assert seen[-1][1] == seen[-1][2] == len(seen)
 
 
 @pytest.mark.parametrize(

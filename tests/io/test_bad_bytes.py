@@ -45,7 +45,7 @@ from docdepth.io.poses import read_poses, read_tum
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import COLUMNS, read_tracks
 from docdepth.io.yaml_json import parse_json, parse_yaml
-from docdepth.pipeline.run_state import states
+from docdepth.pipeline.plan import states
 
 FRAME = LidarFrame(
     np.ones((2, 3), np.float32),

@@ -14,8 +14,8 @@ from pathlib import Path
 
 from docdepth.cli.failures import explain
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.plan import states
 from docdepth.pipeline.run import run
-from docdepth.pipeline.run_state import states
 
 MOMENTS = (("register", 3), ("odometry", 2), ("classify", 2), ("render", 1))
 SIZE = 48 << 20  # bytes

@@ -13,8 +13,8 @@ from command_line import cli
 from docdepth.datasets import FrameRange, open_dataset
 from docdepth.errors import DatasetError
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.plan import states
 from docdepth.pipeline.run import run
-from docdepth.pipeline.run_state import states
 from small_drive import results, write_image, write_small_drive
 
 COUNT = 9

@@ -8,7 +8,7 @@ from command_line import cli
 from docdepth.datasets import open_dataset, usable_points
 from docdepth.io.poses import write_kitti
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.run_state import states
+from docdepth.pipeline.plan import states
 from small_drive import SWEEPS, write_small_drive
 from walled_yard import straight
 

@@ -11,7 +11,7 @@ from command_line import cli
 from docdepth.errors import DocDepthError
 from docdepth.io.run_folder import RunFolder
 from docdepth.parameter_table import parameter_table
-from docdepth.pipeline.run_state import states
+from docdepth.pipeline.plan import states
 
 _LISTS = ("render.static_size", "render.dynamic_size")
 

@@ -15,8 +15,8 @@ import pytest
 from full_disk import MOMENTS
 
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.plan import states
 from docdepth.pipeline.run import run
-from docdepth.pipeline.run_state import states
 from small_drive import results, write_small_drive
 
 COUNT = 6
@@ -88,14 +88,14 @@ def start(drive: Path, output: Path) -> subprocess.Popen[str]:
         # Jobs in the background of a shell ignore it, and so would what they start.
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from docdepth.cli import main\n"
-        "from docdepth.pipeline import odometry\n"
-        "frame, made = odometry._frame, []\n"
+        "from docdepth.io.run_folder import RunFolder\n"
+        "write, made = RunFolder.write_frame, []\n"
         "def slow(*arguments):\n"
         "    made.append(1)\n"
         f"    while len(made) > 2 and not os.path.exists({str(output.parent / 'go')!r}):\n"
         "        time.sleep(0.05)\n"
-        "    return frame(*arguments)\n"
-        "odometry._frame = slow\n"
+        "    return write(*arguments)\n"
+        "RunFolder.write_frame = slow\n"
         "main()\n"
     )
     arguments = ["run", drive, "-o", output, "--camera", "image_2", "--threads", "2"]

@@ -18,7 +18,7 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import cut_tracks, read_tracks, write_tracks
 from docdepth.pipeline import given_labels
 from docdepth.pipeline.label_folder import LabelFolder
-from docdepth.pipeline.run_state import states
+from docdepth.pipeline.plan import states
 from small_drive import SWEEPS, write_small_drive
 from walled_yard import straight
 

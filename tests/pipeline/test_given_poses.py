@@ -15,8 +15,8 @@ from docdepth.io.inputs import RunInputs
 from docdepth.io.poses import write_kitti
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.given_poses import read_given_poses
+from docdepth.pipeline.plan import states
 from docdepth.pipeline.run_inputs import known_poses, open_recording
-from docdepth.pipeline.run_state import states
 from small_drive import SWEEPS, write_small_drive
 from walled_yard import straight
 

@@ -11,9 +11,9 @@ from command_line import cli
 from docdepth.errors import ConfigError, RunError
 from docdepth.io.poses import write_kitti
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.plan import states
 from docdepth.pipeline.run import continue_run, render_again, run
 from docdepth.pipeline.run_all import run_all
-from docdepth.pipeline.run_state import states
 from small_drive import SWEEPS, write_small_drive
 from walled_yard import straight
 
@@ -54,7 +54,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def is_frame(name: str) -> bool:
-    return name.startswith("frames/")
+    return name.startswith(("frames/", "classes/"))
 
 
 def state_names(folder: Path) -> set[str]:
@@ -63,7 +63,7 @@ def state_names(folder: Path) -> set[str]:
 
 def test_all_but_the_frames_stays(root: Path) -> None:
     whole, alone = contents(root / "all"), contents(root / "results")
-    assert sum(map(is_frame, whole)) == SWEEPS
+    assert sum(map(is_frame, whole)) == 2 * SWEEPS
     assert alone == {name: content for name, content in whole.items() if not is_frame(name)}
     assert not (root / "results" / "frames").exists()
     assert state_names(root / "results") == {"done"}
@@ -118,7 +118,7 @@ def test_a_command_that_ends_while_it_deletes(
     assert state_names(root / "all") == {"done"}
     make(root, "all", keep)
     left = sum(map(is_frame, contents(root / "all")))
-    assert left == (SWEEPS if keep else 0)
+    assert left == (2 * SWEEPS if keep else 0)
 
 
 def test_what_needs_frames_says_how_to_have_them(root: Path) -> None:

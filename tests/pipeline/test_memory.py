@@ -26,8 +26,8 @@ from docdepth.io.file_records import FileRecords
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import classify
 from docdepth.pipeline.memory import bytes_of, memory_of_run, within_memory
+from docdepth.pipeline.plan import states
 from docdepth.pipeline.run import run
-from docdepth.pipeline.run_state import states
 
 
 def test_memory_grows_with_the_sensor_and_the_chunk_and_hardly_with_the_drive() -> None:

@@ -28,9 +28,9 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import parallel
 from docdepth.pipeline.execution import Execution
 from docdepth.pipeline.parallel import ChunkContext, WorkerPool
+from docdepth.pipeline.plan import states
 from docdepth.pipeline.run import run
 from docdepth.pipeline.run_all import run_all
-from docdepth.pipeline.run_state import states
 from small_drive import results, write_small_drive
 
 SWEEPS = 8

@@ -16,8 +16,7 @@ from docdepth.geometry.track import Tracks
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import read_tracks, tracks_in
-from docdepth.pipeline import classify as classes
-from docdepth.pipeline import depth_files
+from docdepth.pipeline import depth_files, sweep_store
 from docdepth.visualization import pictures as visualize
 from docdepth.visualization.video import sweep_from_above
 from small_drive import HEIGHT, WIDTH
@@ -73,7 +72,7 @@ def test_interrupted_run_goes_on_and_ends_the_same(drive, finished, tmp_path, mo
         return wrapped
 
     for module, name, count in (
-        (classes, "write_classified", 3),
+        (sweep_store, "write_classified", 3),
         (depth_files, "encode_image", 2),
     ):
         written.clear()
@@ -83,7 +82,7 @@ def test_interrupted_run_goes_on_and_ends_the_same(drive, finished, tmp_path, mo
     before = {p: p.stat().st_mtime_ns for p in (run / "labels").iterdir()}
     assert cli("run", drive, "-o", run).exit_code == 0
     assert {p: p.stat().st_mtime_ns for p in (run / "labels").iterdir()} == before
-    for folder in ("frames", "labels", "depth"):
+    for folder in ("frames", "classes", "labels", "depth"):
         for path in sorted((finished[0] / folder).iterdir()):
             assert path.read_bytes() == (run / folder / path.name).read_bytes(), path.name
 

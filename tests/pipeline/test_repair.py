@@ -20,8 +20,8 @@ from docdepth.errors import RunError
 from docdepth.io.depth import read_depth
 from docdepth.io.poses import write_kitti
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.plan import states
 from docdepth.pipeline.run import continue_run
-from docdepth.pipeline.run_state import states
 from small_drive import SPARSE, SWEEPS, write_image, write_small_drive, write_sweep
 from walled_yard import scan, straight
 
@@ -48,7 +48,7 @@ def files(folder: Path) -> dict[str, bytes]:
     """Results in a run folder, by name."""
     return {
         path.relative_to(folder).as_posix(): path.read_bytes()
-        for kind in ("frames", "labels", "depth", "report")
+        for kind in ("frames", "classes", "labels", "depth", "report")
         for path in sorted((folder / kind).rglob("*"))
         if path.is_file() and path.name != "index.html"
     }
@@ -84,7 +84,7 @@ def test_results_of_a_changed_stage_are_not_used(root):
     ):
         text = refused(*verb)
         assert "is out of date" in text
-        assert f"bring it up to date: docdepth run {root / 'run'}" in text
+        assert f"bring it up to date: `docdepth.run(..., '{root / 'run'}')`" in text
     # The first command goes on with the changed parameter and tells how to go back.
     result = again(root)
     assert result.exit_code == 0
@@ -282,10 +282,10 @@ def test_status_tells_the_state_and_why(root):
         assert stage["state"] == "done"
         assert stage["frames"] == stage["all_frames"] == SWEEPS
         assert stage["seconds"] > 0
-    frames = sum(p.stat().st_size for p in (root / "run" / "frames").iterdir())
+    classes = sum(p.stat().st_size for p in (root / "run" / "classes").iterdir())
     labels = sum(p.stat().st_size for p in (root / "run" / "labels").iterdir())
     tracks = (root / "run" / "tracks.csv").stat().st_size
-    assert by_name["classify"]["size"] == frames + labels + tracks
+    assert by_name["classify"]["size"] == classes + labels + tracks
     (root / "run" / "labels" / "000001.label").unlink()
     text = " ".join(cli("status", root / "run").stdout.split())
     assert "classify incomplete 3/4" in text

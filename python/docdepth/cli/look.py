@@ -75,8 +75,8 @@ def video(
     """Write report/video.webm: each image above its depth map; or the sweeps from above."""
     from docdepth.errors import ConfigError
     from docdepth.io.run_folder import RunFolder
+    from docdepth.pipeline.plan import require
     from docdepth.pipeline.run_inputs import recorded_camera
-    from docdepth.pipeline.run_state import require
     from docdepth.visualization.video import write_video, write_video_from_above
 
     folder = RunFolder.open(run)
@@ -137,8 +137,8 @@ def view(
     """
     from docdepth.errors import ConfigError
     from docdepth.io.run_folder import RunFolder
+    from docdepth.pipeline.plan import require
     from docdepth.pipeline.run_inputs import cameras_at_hand
-    from docdepth.pipeline.run_state import require
     from docdepth.visualization.rerun_recording import write_rerun
     from docdepth.visualization.viewer import view_run
 

@@ -178,7 +178,7 @@ def classify(run: RunPath, settings: Settings = None, threads: Threads = 0) -> N
     Classes of another method (--labels) are replaced.
     """
     from docdepth.pipeline import run_classify
-    from docdepth.pipeline.run_state import require
+    from docdepth.pipeline.plan import require
 
     folder = reopen(run, changes_of(settings), "ground", "dynamics")
     if folder.manifest.inputs is not None:

@@ -8,6 +8,7 @@ import typer
 from rich.table import Table
 
 from docdepth.cli.options import Json, RunPath
+from docdepth.cli.remedies import as_commands
 from docdepth.cli.summary import show_json
 from docdepth.cli.terminal import app, out, verb
 
@@ -31,8 +32,9 @@ def status(
 
 def show_states(folder: RunFolder, as_json: bool, verify: bool = False) -> None:
     """Print the state of each stage."""
+    from docdepth.cli.changes import changes_since_start
     from docdepth.io.lock import holder
-    from docdepth.pipeline.run_state import changes_since_start, states
+    from docdepth.pipeline.plan import states
 
     left_out = folder.manifest.derived.skipped
     skipped = [] if left_out is None else left_out.sentences()
@@ -50,7 +52,8 @@ def show_states(folder: RunFolder, as_json: bool, verify: bool = False) -> None:
     for state in found:
         frames = f"{state.frames}/{state.all_frames}"
         size = f"{state.size / 1e6:.1f}"
-        table.add_row(state.name, state.state, frames, f"{state.seconds:.1f}", size, state.why)
+        why = as_commands(state.why)
+        table.add_row(state.name, state.state, frames, f"{state.seconds:.1f}", size, why)
     out.print(table)
     lines = [f"in use by {busy}"] if busy else []
     lines += [f"left out: {text}" for text in skipped]

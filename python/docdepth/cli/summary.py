@@ -37,7 +37,7 @@ def show_json(value: Any) -> None:
 
 def summary_of(folder: RunFolder) -> dict[str, Any]:
     """State and seconds of each stage, cameras and peak memory, ready for JSON."""
-    from docdepth.pipeline.run_state import states
+    from docdepth.pipeline.plan import states
 
     stages = folder.manifest.stages
     found = states(folder)
@@ -72,7 +72,7 @@ _LEAST_SHARE = 0.1
 
 def show_summary(folder: RunFolder, as_json: bool = False) -> None:
     """Print seconds per stage, density, images left out, and what is not up to date."""
-    from docdepth.pipeline.run_state import changes_since_start
+    from docdepth.cli.changes import changes_since_start
 
     summary = summary_of(folder)
     if as_json:

@@ -31,8 +31,8 @@ from docdepth.geometry.se3 import rotation_exp
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
+from docdepth.pipeline.plan import require
 from docdepth.pipeline.run_inputs import recorded_camera
-from docdepth.pipeline.run_state import require
 
 
 @dataclass(frozen=True)

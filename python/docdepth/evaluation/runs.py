@@ -28,7 +28,7 @@ from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.labels import read_labels
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import read_tracks, tracks_in
-from docdepth.pipeline.run_state import require
+from docdepth.pipeline.plan import require
 
 log = logging.getLogger(__name__)
 

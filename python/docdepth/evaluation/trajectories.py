@@ -23,8 +23,8 @@ from docdepth.io.poses import read_timed_poses
 from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.pose_checks import find_camera_poses, move_upwards
 from docdepth.pipeline.given_poses import file_of_poses, read_given_poses
+from docdepth.pipeline.plan import require
 from docdepth.pipeline.run_inputs import open_recording
-from docdepth.pipeline.run_state import require
 
 log = logging.getLogger(__name__)
 

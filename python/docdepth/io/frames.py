@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import WriteFile, write_atomically
 from docdepth.io.file_records import is_file_name
+from docdepth.io.npy import ArrayError, read_array
 from docdepth.io.ply import read_comments, read_vertices, write_vertices
 
 _SECOND = 1_000_000_000  # nanoseconds
@@ -30,15 +32,9 @@ _LARGE = 0.4  # the largest component of a unit quaternion is at least 0.5
 _SECONDS = {"<u4": (0, 1 << 32), "<i4": (-(1 << 31), 1 << 31)}
 """Limits of what holds the seconds: 1970 to 2106, or 1902 to 2038 where a stamp is before 1970."""
 
-_OPTIONAL = {
-    "classid": "<u2",
-    "instance": "<u2",
-    "votes_static": "<u2",
-    "votes_dynamic": "<u2",
-    "time_offset": "<f4",
-    "sensor": "<u1",
-}
-"""Properties of a frame that it may lack."""
+_CLASSES = {name: "<u2" for name in ("classid", "instance", "votes_static", "votes_dynamic")}
+_OPTIONAL = {**_CLASSES, "time_offset": "<f4", "sensor": "<u1"}
+"""Properties of a frame that it may lack. Frames of a run have their classes in another file."""
 
 
 def write_trajectory(
@@ -184,6 +180,38 @@ def read_frame(
         sensor_rig=None if sensor is None or rig_of is None else rig_of(sensor),
         **columns,
     )
+
+
+def write_classes(path: Path, frame: LidarFrame, write_file: WriteFile = write_atomically) -> None:
+    """Write class, instance and votes of each point of a frame, as far as it has them, as NPY."""
+    columns = {name: getattr(frame, name) for name in _CLASSES}
+    known = {name: values for name, values in columns.items() if values is not None}
+    rows = np.empty(len(frame), [(name, _CLASSES[name]) for name in known])
+    for name, values in known.items():
+        rows[name] = values
+    write_file(path, lambda stream: np.save(stream, rows))
+
+
+def with_classes(frame: LidarFrame, path: Path) -> LidarFrame:
+    """A frame with the classes that :func:`write_classes` wrote.
+
+    Raises
+    ------
+    RunError
+        The file is damaged, or of another number of points.
+    """
+    try:
+        rows = read_array(path)
+    except (OSError, ArrayError) as error:
+        raise DamagedFileError(path, str(error)) from None
+    names = rows.dtype.names or ()
+    if "classid" not in names or rows.shape != (len(frame),):
+        raise DamagedFileError(path, f"it holds no classes of {len(frame)} points")
+    columns = {
+        name: np.ascontiguousarray(rows[name], kind) if name in names else None
+        for name, kind in _CLASSES.items()
+    }
+    return replace(frame, **columns)  # type: ignore[arg-type]
 
 
 def read_points(path: Path) -> NDArray[np.float32]:

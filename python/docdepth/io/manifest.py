@@ -150,7 +150,7 @@ class RunManifest(BaseModel):
     def text(self) -> bytes:
         """As run.yaml holds it."""
         tree = self.model_dump(mode="json", exclude_none=True)
-        return yaml.safe_dump(tree, sort_keys=False).encode()
+        return yaml.dump(tree, Dumper=yaml.CSafeDumper, sort_keys=False).encode()
 
 
 def read_manifest(path: Path) -> RunManifest | None:

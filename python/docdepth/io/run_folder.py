@@ -24,6 +24,8 @@ from docdepth.io.frames import (
     read_frame,
     read_points,
     read_trajectory,
+    with_classes,
+    write_classes,
     write_frame,
 )
 from docdepth.io.inputs import DerivedInputs, RunInputs
@@ -47,8 +49,9 @@ class RunFolder(RecordedFolder):
     ``run.yaml`` (:class:`RunManifest`) holds the inputs, the parameters, the cameras and the
     profile of each stage. All other files are results:
 
-    - ``traj_odometry.ply``: LiDAR poses; ``frames/frame_NNNNNN.ply``: deskewed sweeps, with classes
-      once they are classified; ``sensors.npz``: where the LiDARs or their lasers sit;
+    - ``traj_odometry.ply``: LiDAR poses; ``frames/frame_NNNNNN.ply``: deskewed sweeps;
+      ``sensors.npz``: where the LiDARs or their lasers sit;
+    - ``classes/frame_NNNNNN.npy``: class, instance and votes of each point of a frame;
     - ``labels/NAME.label``: a SemanticKITTI label for each point of the input;
     - ``tracks.csv``: where each moving object is over time;
     - ``calib.json``, ``calib_lidar_ref_cam.txt``, ``traj_camera.ply``, ``tracks_kitti.txt``: the
@@ -261,6 +264,15 @@ class RunFolder(RecordedFolder):
         """The recording; None if the run was not made of one."""
         return None if self.manifest.inputs is None else self.manifest.inputs.recording
 
+    @property
+    def is_saved(self) -> bool:
+        """Whether run.yaml and its copy hold what is known."""
+        text = self.manifest.text()
+        return all(
+            path.is_file() and path.read_bytes() == text
+            for path in (self._manifest_path, self._copy_path)
+        )
+
     def save(self) -> None:
         """Write run.yaml, and a copy that is used where the first is damaged."""
         if self._saved is not None and not self._is_readable:
@@ -304,6 +316,9 @@ class RunFolder(RecordedFolder):
     def frame_path(self, index: int) -> Path:
         return self.path / "frames" / f"frame_{index:06d}.ply"
 
+    def classes_path(self, index: int) -> Path:
+        return self.path / "classes" / f"frame_{index:06d}.npy"
+
     def check_has_frames(self) -> None:
         """Refuse a run whose frames were deleted when all was done.
 
@@ -318,7 +333,12 @@ class RunFolder(RecordedFolder):
             )
 
     def frame(self, index: int) -> LidarFrame:
-        """Frame number ``index``."""
+        """Frame number ``index``, with its classes if it is classified."""
+        frame, classes = self.deskewed(index), self.classes_path(index)
+        return with_classes(frame, classes) if classes.is_file() else frame
+
+    def deskewed(self, index: int) -> LidarFrame:
+        """Frame number ``index`` as odometry wrote it."""
         self.check_has_frames()
         return read_frame(self.frame_path(index), self._rig_of)
 
@@ -371,6 +391,10 @@ class RunFolder(RecordedFolder):
     def write_frame(self, index: int, frame: LidarFrame, key: dict[str, str] | None = None) -> None:
         """Write frame ``index``; ``key`` tells what it is made of, a hash for each stage."""
         write_frame(self.frame_path(index), frame, self.writer(key or {}))
+
+    def write_classes(self, index: int, frame: LidarFrame, key: dict[str, str]) -> None:
+        """Write the classes of frame ``index``."""
+        write_classes(self.classes_path(index), frame, self.writer(key))
 
     def trajectory(self) -> Trajectory:
         """LiDAR poses, one a frame."""

@@ -13,7 +13,7 @@ from docdepth.geometry.points import DYNAMIC, GROUND, STATIC
 from docdepth.io.ply import write_vertices
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
-from docdepth.pipeline.run_state import require
+from docdepth.pipeline.plan import require
 from docdepth.render.dynamic_objects import dynamic_objects
 from docdepth.visualization.image_views import track_color
 from docdepth.visualization.pictures import GROUND_COLOR, STATIC_COLOR

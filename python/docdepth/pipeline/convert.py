@@ -22,9 +22,9 @@ from docdepth.io.labels import LABEL_FORMATS, classes_of_labels, write_labels
 from docdepth.io.pcd import write_pcd
 from docdepth.io.poses import POSE_FORMATS, read_timed_poses, write_kitti, write_tum
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.plan import require
 from docdepth.pipeline.release import DEPTH_FORMATS, write_release
 from docdepth.pipeline.run_inputs import open_recording
-from docdepth.pipeline.run_state import require
 
 _POSE_FILES = ("", ".txt", ".tum", ".kitti", ".csv", ".ply", ".npy")
 

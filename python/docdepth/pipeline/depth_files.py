@@ -29,8 +29,6 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.render.depth_map import NEAR
 from docdepth.visualization.pictures import overlay
 
-FOLDERS = ("depth", "report", "layers")
-
 
 @dataclass(frozen=True)
 class DepthFiles:
@@ -45,7 +43,7 @@ class DepthFiles:
     parameters : Parameters
     key : str
         Hash of all that the maps are made of; needed to write.
-    images : list of str
+    images : dict of int to str
         The identity of each image, which the pictures show; needed to write.
     coverage : dict of int to float
         Share of pixels with depth of each image that is done.
@@ -56,7 +54,7 @@ class DepthFiles:
     folder: str
     parameters: Parameters
     key: str = ""
-    images: list[str] = field(default_factory=list)
+    images: dict[int, str] = field(default_factory=dict)
     coverage: dict[int, float] = field(default_factory=dict)
 
     def of(self, indices: Sequence[int]) -> DepthFiles:
@@ -68,7 +66,12 @@ class DepthFiles:
             names=[stream.names[k] for k in indices],
             images=[images[k] for k in indices] if images else [],
         )
-        return replace(self, stream=part, images=[self.images[k] for k in indices], coverage={})
+        return replace(
+            self,
+            stream=part,
+            images={n: self.images[k] for n, k in enumerate(indices)},
+            coverage={},
+        )
 
     def shares(self) -> list[float]:
         """The coverage of the images that are done, in order."""
@@ -88,18 +91,12 @@ class DepthFiles:
         folder = self.run.calibration_folder(self.folder)
         return [folder / name for name in (INTRINSICS, EXTRINSICS, "traj_camera.ply", KITTI_TRACKS)]
 
-    def is_of_image(self, index: int, identity: str) -> bool:
-        """Whether the files of an image were made of the image that is there now."""
-        return all(
-            self.run.records(file.parent).recorded_key(file.name).get("image") == identity
-            for file in self.files(index)
-        )
+    def folders(self) -> list[Path]:
+        """Where the files of images lie."""
+        return [self.run.path / kind / self.folder for kind in ("depth", "report", "layers")]
 
-    def find_done(self, index: int) -> bool:
-        """Whether all files of an image are whole and up to date; notes its coverage."""
-        key = self._key(index)
-        if any(self.run.key(path) != key for path in self.files(index)):
-            return False
+    def find_coverage(self, index: int) -> bool:
+        """Note the coverage of a map that is done; False if it cannot be read after all."""
         try:
             self.coverage[index] = _share_with_depth(self.depth(index))
         except DatasetError:
@@ -110,20 +107,6 @@ class DepthFiles:
         """Read the depth map of an image."""
         path = next(iter(self._depths(index).values()))
         return read_depth(path, self.parameters.output.scale)
-
-    def is_complete(self) -> bool:
-        """Whether the files of the camera itself are whole and up to date."""
-        return all(self.run.key(file) == {"render": self.key} for file in self.once())
-
-    def remove_outdated(self) -> None:
-        """Delete maps, layers and pictures that were made of something else."""
-        for kind in FOLDERS:
-            folder = self.run.path / kind / self.folder
-            records = self.run.records(folder)
-            for name in records.names():
-                made_of = records.recorded_key(name).get("render")
-                if made_of not in (None, self.key):
-                    self.run.remove(folder / name)
 
     def write_camera(
         self, poses: Trajectory, indices: NDArray[np.int64], tracks: Iterable[Track]

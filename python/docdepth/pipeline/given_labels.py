@@ -13,13 +13,12 @@ from docdepth.concurrency import Progress, null_progress
 from docdepth.errors import DatasetError
 from docdepth.geometry.points import DYNAMIC
 from docdepth.io.frames import read_frame_name, read_input_points
-from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import TRACKS
-from docdepth.pipeline.classified_files import is_classified, remove_outdated, write_classified
-from docdepth.pipeline.graph import classify_parts, label_files
-from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.label_folder import LabelFolder
-from docdepth.pipeline.stage import stage
+from docdepth.pipeline.plan import classify_stage
+from docdepth.pipeline.stage import Stage, remove_others
+from docdepth.pipeline.sweep_store import TRACKING, write_classified
 
 log = logging.getLogger(__name__)
 
@@ -42,8 +41,10 @@ def open_labels(run: RunFolder) -> LabelFolder:
     return given
 
 
-def take_labels(run: RunFolder, progress: Progress | None = None) -> None:
-    """Write the classes that a run was given into ``frames/`` and ``labels/``.
+def take_labels(
+    run: RunFolder, progress: Progress | None = None, stage: Stage | None = None
+) -> None:
+    """Write the classes that a run was given into ``classes/`` and ``labels/``.
 
     Ground is not grown and key frames do not vote. Tracks are those of the run whose labels these
     are, if any.
@@ -53,6 +54,8 @@ def take_labels(run: RunFolder, progress: Progress | None = None) -> None:
     run : RunFolder
         Its odometry is done, and its inputs name the labels.
     progress : callable, optional
+    stage : Stage, optional
+        :func:`~.plan.classify_stage` of the run.
 
     Raises
     ------
@@ -62,18 +65,14 @@ def take_labels(run: RunFolder, progress: Progress | None = None) -> None:
         A file of the run is damaged.
     """
     with run.lock("classify"):
-        trajectory, inputs = run.trajectory(), InputFiles(run)
-        parts = classify_parts(run, run.stage("odometry").key, inputs)
-        key = {"classify": stage_key(parts)}
-        labels, count, report = label_files(run), len(trajectory), progress or null_progress
-        left = [i for i in range(count) if not is_classified(run, i, labels.get(i), key)]
-        stale = TRACKS in run.records(run.path) and run.key(run.path / TRACKS) != key
-        if not left and not stale:
+        trajectory, stage = run.trajectory(), stage or classify_stage(run)
+        left, count, key = stage.left(), len(trajectory), stage.made_of
+        if not left and stage.is_made_once():
             return
+        report = progress or null_progress
         given = open_labels(run)
         _check(given, run, left)
-        with stage(run, "classify", parts, count) as profile:
-            inputs.save()
+        with stage.working() as profile:
             tracks = given.tracks(trajectory)
             profile.more |= {"labels": str(given.folder), "tracks": tracks is not None}
             if tracks is not None:
@@ -82,7 +81,7 @@ def take_labels(run: RunFolder, progress: Progress | None = None) -> None:
             something_moves = False
             for index in left:
                 with profile.timer("read"):
-                    classified = given.classified(run.frame(index), index)
+                    classified = given.classified(run.deskewed(index), index)
                 assert classified.classid is not None
                 something_moves |= bool((classified.classid >= DYNAMIC).any())
                 with profile.timer("write"):
@@ -95,7 +94,8 @@ def take_labels(run: RunFolder, progress: Progress | None = None) -> None:
                     "files, 100 and above in .npy files, or True, the intensity 1 in .pcd files",
                     given.folder,
                 )  # fmt: skip
-            remove_outdated(run, {}, key)
+            stage.remove_outdated()
+            remove_others(run, run.notes / TRACKING, key)
 
 
 def _check(given: LabelFolder, run: RunFolder, frames: Sequence[int]) -> None:
@@ -107,4 +107,4 @@ def _check(given: LabelFolder, run: RunFolder, frames: Sequence[int]) -> None:
 
 
 def _returns(run: RunFolder, frame: int) -> NDArray[np.uint32]:
-    return run.frame(frame).index
+    return run.deskewed(frame).index

@@ -52,9 +52,11 @@ class InputFiles:
         """Hash of the identity of files of given labels."""
         return self._identify("labels", files, folder)
 
-    def changed(self) -> list[str]:
-        """Names of files of sweeps that differ from those that were saved."""
-        before, now = self._before.get("sweeps", {}), self._now.get("sweeps", {})
+    def changed(self, what: str) -> list[str]:
+        """Names of ``sweeps`` or ``labels`` that differ from those that were saved."""
+        if what not in self._now:
+            return []
+        before, now = self._before.get(what, {}), self._now[what]
         return sorted(
             name
             for name in before.keys() | now.keys()
@@ -65,11 +67,11 @@ class InputFiles:
 
     def save(self) -> None:
         """Write what is known now."""
-        if {**self._before, **self._now} == self._before:
-            return
-        text = json.dumps({**self._before, **self._now}, indent=0).encode()
-        self._run.write(self._path, lambda stream: stream.write(text), {})
-        self._before = {**self._before, **self._now}
+        before = _read(self._path)
+        now = {**before, **self._now}
+        if now != before:
+            text = json.dumps(now, indent=0).encode()
+            self._run.write(self._path, lambda stream: stream.write(text), {})
 
     def _identify(self, what: str, files: Iterable[ImageSource], root: Path) -> str:
         before: _Known = self._before.get(what, {})

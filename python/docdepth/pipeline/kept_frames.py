@@ -26,8 +26,8 @@ def delete_frames(run: RunFolder) -> None:
     """Delete the frames of a run that is done, or what an interrupted command left of them."""
     run.manifest.frames_deleted = {name: run.stage(name).key for name in ("odometry", "classify")}
     run.save()  # before the first is gone: a run that is interrupted here misses none
-    folder = run.frame_path(0).parent
-    records = run.records(folder)
-    for name in records.names():
-        run.remove(folder / name)
-    records.compact()
+    for folder in run.frame_path(0).parent, run.classes_path(0).parent:
+        records = run.records(folder)
+        for name in records.names():
+            run.remove(folder / name)
+        records.compact()

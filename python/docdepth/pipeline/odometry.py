@@ -16,13 +16,12 @@ from docdepth.diagnostics.sweeps import find_lonely_returns
 from docdepth.errors import ConfigError, DatasetError
 from docdepth.geometry.points import usable_points
 from docdepth.io.frames import write_trajectory
-from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.blooming import blooming_points
 from docdepth.odometry.odometry import Odometry, register_drive
 from docdepth.odometry.pose_checks import find_misfit
-from docdepth.pipeline.graph import odometry_parts
-from docdepth.pipeline.input_files import InputFiles
-from docdepth.pipeline.stage import Profile, is_outdated, stage
+from docdepth.pipeline.plan import odometry_stage
+from docdepth.pipeline.stage import Profile, Stage
 
 log = logging.getLogger(__name__)
 
@@ -33,6 +32,7 @@ def run_odometry(
     poses: NDArray[np.float64] | None = None,
     progress: Progress | None = None,
     threads: int = 0,
+    stage: Stage | None = None,
 ) -> None:
     """Write ``traj_odometry.ply``, and each sweep deskewed to its stamp into ``frames/``.
 
@@ -45,6 +45,8 @@ def run_odometry(
     progress : callable, optional
     threads : int
         0 for all cores.
+    stage : Stage, optional
+        :func:`~.plan.odometry_stage` of these arguments.
 
     Raises
     ------
@@ -57,18 +59,14 @@ def run_odometry(
     """
     with run.lock("odometry"):
         if run.manifest.frames_deleted is not None:
-            run.manifest.frames_deleted = None
+            run.manifest.frames_deleted = stage = None
             run.save()
-        inputs = InputFiles(run)
-        first = dataset.sweep(0)
-        parts = odometry_parts(run, dataset, first, poses, inputs)
-        key = {"odometry": stage_key(parts)}
-        left = [i for i in range(len(dataset)) if not key.items() <= run.frame_key(i).items()]
-        if not left and _others_are_done(run, key):
+        stage = stage or odometry_stage(run, dataset, poses)
+        left, key = stage.left(), stage.made_of
+        if not left and stage.is_made_once():
             return
-        with stage(run, "odometry", parts, len(dataset)) as profile:
-            inputs.save()
-            checkpoint = run.notes / _CHECKPOINTS / key["odometry"]
+        with stage.working() as profile:
+            checkpoint = run.notes / _CHECKPOINTS / stage.key
             _remove_old_checkpoints(checkpoint)
             with profile.timer("poses"):
                 odometry = register_drive(
@@ -80,38 +78,26 @@ def run_odometry(
                     threads,
                 )
             profile.findings += odometry.findings
-            if first.sensor_rig is not None:
-                run.write_sensors(first.sensor_rig, key)
+            rig = dataset.sweep(0).sensor_rig
+            if rig is not None:
+                run.write_sensors(rig, key)
             indices = np.arange(len(dataset))
             write_trajectory(run.trajectory_path, odometry.trajectory, indices, run.writer(key))
             _write_frames(run, odometry, left, key, profile, progress)
-            _remove_old_frames(run, key)
+            stage.remove_outdated()
             with profile.timer("check"):
-                rig, poses = lambda i: run.frame(i).sensor_rig, odometry.trajectory.poses
-                profile.add(find_lonely_returns(run.points, rig, len(dataset)))
+                poses = odometry.trajectory.poses
+                profile.add(
+                    find_lonely_returns(
+                        run.points, lambda i: run.deskewed(i).sensor_rig, len(dataset)
+                    )
+                )
                 profile.add(find_misfit(run.points, poses, run.parameters.odometry))
 
 
 _CHECKPOINTS = "odometry"
 """Folder in the notes of a run with what each pass found. An interrupted stage goes on from there,
 and frames are made again, bit for bit."""
-
-
-def _others_are_done(run: RunFolder, key: dict[str, str]) -> bool:
-    """Whether the files that are not frames are whole and up to date."""
-    sensors = run.sensors_path
-    known = sensors.name in run.records(run.path)
-    return run.key(run.trajectory_path) == key and (not known or run.key(sensors) == key)
-
-
-def _remove_old_frames(run: RunFolder, key: dict[str, str]) -> None:
-    """Delete frames of sweeps that are no longer in the recording."""
-    folder = run.frame_path(0).parent
-    records = run.records(folder)
-    for name in records.names():
-        if is_outdated(records.recorded_key(name), key):
-            run.remove(folder / name)
-    records.compact()
 
 
 def _remove_old_checkpoints(checkpoint: Path) -> None:

@@ -8,7 +8,7 @@ from docdepth.concurrency import Progress
 from docdepth.errors import ConfigError, DatasetError
 from docdepth.io.depth import PNG_SCALE, maps_in, read_depth, write_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.run_state import require
+from docdepth.pipeline.plan import require
 
 DEPTH_FORMATS = ("proj_depth",)
 """Layouts of depth maps that :func:`~.convert.convert` writes."""

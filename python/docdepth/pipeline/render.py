@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -23,6 +23,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.parallel import ChunkContext, WorkerPool
+from docdepth.pipeline.plan import require
 from docdepth.pipeline.render_plan import ImageToRender, RenderPlan, plan_render
 from docdepth.pipeline.run_inputs import (
     RunCamera,
@@ -30,8 +31,7 @@ from docdepth.pipeline.run_inputs import (
     cameras_at_hand,
     register,
 )
-from docdepth.pipeline.run_state import require
-from docdepth.pipeline.stage import Profile, stage
+from docdepth.pipeline.stage import Profile, Stage
 from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.in_view import TracksInView
@@ -50,6 +50,7 @@ def run_render(
     progress: Progress | None = None,
     renderer: Renderer | None = None,
     workers: WorkerPool | None = None,
+    stages: Mapping[str, Stage] | None = None,
 ) -> list[str]:
     """Render a depth map of every image into ``depth/``; layers and pictures beside it.
 
@@ -69,6 +70,8 @@ def run_render(
         What draws; the CPU if absent.
     workers : WorkerPool, optional
         Who does the work; this process with its threads if absent.
+    stages : dict of str to Stage, optional
+        :func:`~.plan.render_stage` of the cameras, by name.
 
     Returns
     -------
@@ -95,7 +98,9 @@ def run_render(
         left_out: list[str] = []
         before = _profiles(run)
         for alike in _drawn_alike(cameras):
-            left_out += _render_cameras(run, alike, workers, progress or null_progress, renderer)
+            plan = plan_render(run, alike, stages)
+            _render_cameras(plan, workers, progress or null_progress, renderer)
+            left_out += _names_left_out(plan, several=len(run.cameras) > 1)
         if before != _profiles(run) or not index_is_whole(run):
             opened = {stream.name: stream for stream in streams}
             others = {} if run.cameras.keys() <= opened.keys() else cameras_at_hand(run)
@@ -141,30 +146,22 @@ def _drawn_alike(cameras: list[RunCamera]) -> list[list[RunCamera]]:
 
 
 def _render_cameras(
-    run: RunFolder,
-    cameras: list[RunCamera],
-    workers: WorkerPool,
-    progress: Progress,
-    renderer: Renderer,
-) -> list[str]:
-    plan = plan_render(run, cameras)
-    images = [image for image in plan.images if not image.files.find_done(image.index)]
-    left_out = _names_left_out(plan, several=len(run.cameras) > 1)
-    if not images and all(files.is_complete() for files in plan.files):
-        return left_out
-    with ExitStack() as stages:
+    plan: RenderPlan, workers: WorkerPool, progress: Progress, renderer: Renderer
+) -> None:
+    images, run = plan.left, plan.stages[0].run
+    if not images and all(stage.is_made_once() for stage in plan.stages):
+        return
+    with ExitStack() as working:
         profiles: list[Profile] = []
-        for files in plan.files:
-            name = files.stream.name
-            count = sum(image.files is files for image in plan.images)
-            profile = stages.enter_context(stage(run, f"render {name}", plan.parts[name], count))
-            profile.more["left_out"] = plan.left_out[name]
+        for files, stage in zip(plan.files, plan.stages, strict=True):
+            profile = working.enter_context(stage.working())
+            profile.more["left_out"] = plan.left_out[files.stream.name]
             profile.more["renderer"] = f"{renderer.name}: {renderer.description}"
             profile.frames = sum(image.files is files for image in images)
             profile.timer = profiles[0].timer if profiles else profile.timer
-            profile.share = count / len(plan.images)
+            profile.share = len(stage.frames) / len(plan.images)
             profiles.append(profile)
-            files.remove_outdated()
+            stage.remove_outdated()
             files.describe(complete=False)
         _write_cameras(plan)
         kept, total = len(plan.images) - len(images), len(plan.images)
@@ -185,7 +182,6 @@ def _render_cameras(
             profile.add(check_density(files.shares(), files.stream.name))
             profile.more["calibration"], found = _check_calibration(plan, files)
             profile.add(found)
-    return left_out
 
 
 def _names_left_out(plan: RenderPlan, several: bool) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,12 +14,12 @@ from docdepth.errors import DatasetError
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import check_format
-from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.depth_files import DepthFiles
-from docdepth.pipeline.graph import Parts, render_parts
-from docdepth.pipeline.input_files import InputFiles
+from docdepth.pipeline.plan import render_stage
 from docdepth.pipeline.run_inputs import RunCamera
+from docdepth.pipeline.stage import Stage
 from docdepth.render.layers import check_layers
 from docdepth.render.object_views import EXTRAPOLATION_NS
 from docdepth.render.selection import times_needed
@@ -48,19 +48,22 @@ class RenderPlan:
     ----------
     files : list of DepthFiles
         One for each camera.
+    stages : list of Stage
+        The stage of each camera.
     images : list of ImageToRender
         Images within the trajectory, by time: cameras share the sweeps of one time.
+    left : list of ImageToRender
+        Those that are not done.
     left_out : dict of str to list of str
         By camera: images outside the trajectory.
-    parts : dict of str to dict
-        By camera: what its depth maps are made of.
     trajectory : Trajectory
     """
 
     files: list[DepthFiles]
+    stages: list[Stage]
     images: list[ImageToRender]
+    left: list[ImageToRender]
     left_out: dict[str, list[str]]
-    parts: dict[str, Parts]
     trajectory: Trajectory
 
     @cached_property
@@ -79,8 +82,12 @@ class RenderPlan:
         )
 
 
-def plan_render(run: RunFolder, cameras: Sequence[RunCamera]) -> RenderPlan:
+def plan_render(
+    run: RunFolder, cameras: Sequence[RunCamera], stages: Mapping[str, Stage] | None = None
+) -> RenderPlan:
     """Check the parameters and list the images of cameras that are drawn alike.
+
+    ``stages`` are those of :func:`~.plan.render_stage` by name, as far as they are known.
 
     Raises
     ------
@@ -94,29 +101,36 @@ def plan_render(run: RunFolder, cameras: Sequence[RunCamera]) -> RenderPlan:
         for format in output.format:
             check_format(format, output.scale, drawing.max_depth)
         check_layers(output.layers, drawing)
-    trajectory, inputs = run.trajectory(), InputFiles(run)
-    files, images, left_out, parts = [], [], {}, {}
+    found = RenderPlan([], [], [], [], {}, run.trajectory())
     for camera in cameras:
         stream = camera.stream
-        made_of = render_parts(run.stage("classify").key, camera)
-        of_camera = DepthFiles(
+        inside = _inside(found.trajectory, stream)
+        stage = (stages or {}).get(f"render {stream.name}")
+        stage = stage or render_stage(run, camera, found.trajectory.times)
+        indices = np.flatnonzero(inside).tolist()
+        identities = [outputs.made_of["image"] for outputs in stage.frames]
+        files = DepthFiles(
             run,
             stream,
             camera.folder,
             camera.parameters,
-            stage_key(made_of),
-            inputs.images(stream),
+            stage.key,
+            dict(zip(indices, identities, strict=True)),
         )
-        inside = _inside(trajectory, stream)
-        images += [
-            ImageToRender(int(stream.times[k]), of_camera, int(k)) for k in np.flatnonzero(inside)
-        ]
-        left_out[stream.name] = [stream.names[k] for k in np.flatnonzero(~inside)]
-        parts[stream.name] = made_of
-        files.append(of_camera)
-    inputs.save()
-    images.sort(key=lambda image: image.time)
-    return RenderPlan(files, images, left_out, parts, trajectory)
+        images = [ImageToRender(int(stream.times[k]), files, k) for k in indices]
+        left = set(stage.left())
+        found.images.extend(images)
+        found.left.extend(
+            image
+            for n, image in enumerate(images)
+            if n in left or not files.find_coverage(image.index)
+        )
+        found.left_out[stream.name] = [stream.names[k] for k in np.flatnonzero(~inside)]
+        found.files.append(files)
+        found.stages.append(stage)
+    for some in found.images, found.left:
+        some.sort(key=lambda image: image.time)
+    return found
 
 
 def _inside(trajectory: Trajectory, stream: CameraStream) -> NDArray[np.bool_]:

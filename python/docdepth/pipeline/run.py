@@ -27,13 +27,14 @@ from docdepth.pipeline.check import check_inputs, check_opened
 from docdepth.pipeline.classify import run_classify
 from docdepth.pipeline.execution import Execution
 from docdepth.pipeline.given_labels import open_labels, take_labels
-from docdepth.pipeline.graph import outdated
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.kept_frames import choose_kept, delete_frames, keeps_only_results
 from docdepth.pipeline.memory import keep_budget, parameters_within_budget, within_memory
 from docdepth.pipeline.odometry import run_odometry
+from docdepth.pipeline.plan import forget_cameras, plan, require
 from docdepth.pipeline.render import run_render
 from docdepth.pipeline.run_inputs import (
+    RunCamera,
     known_poses,
     open_as_begun,
     open_inputs,
@@ -42,7 +43,7 @@ from docdepth.pipeline.run_inputs import (
     register,
     run_cameras,
 )
-from docdepth.pipeline.run_state import forget_cameras, require, states
+from docdepth.pipeline.stage import Stage
 from docdepth.pipeline.virtual_camera import check_name
 from docdepth.render.backends import Renderer
 from docdepth.visualization.report import index_is_whole
@@ -290,9 +291,8 @@ def _follow_recording(folder: RunFolder, recording: Dataset) -> None:
             folder.manifest.inputs = inputs.but(recording=place)
 
 
-def _check(folder: RunFolder, recording: Dataset, jobs: int) -> None:
+def _check(folder: RunFolder, recording: Dataset, cameras: Sequence[RunCamera], jobs: int) -> None:
     """Check all inputs of a run that has something to do; what is found is kept in run.yaml."""
-    cameras = run_cameras(folder, recording)
     streams = [camera.stream for camera in cameras]
     values = parameters_within_budget(folder)
     report = check_opened(folder.inputs, recording, streams, values, folder.path, jobs)
@@ -305,25 +305,27 @@ def _check(folder: RunFolder, recording: Dataset, jobs: int) -> None:
 def _make(folder: RunFolder, recording: Dataset, execution: Execution) -> None:
     """Run each stage that has something to do, or check it alone."""
     workers, progress = execution.workers(), execution.progress
+    poses, cameras = known_poses(folder.inputs, recording), run_cameras(folder, recording)
     if execution.dry_run:
-        return _check(folder, recording, workers.jobs)
-    left = outdated(states(folder))
-    if not left and index_is_whole(folder):
-        if folder.manifest != RunFolder(folder.path).manifest:  # the recording was moved, or --keep
-            with folder.lock("run"):
-                folder.save()
+        return _check(folder, recording, cameras, workers.jobs)
+    stages = plan(folder, recording, poses, cameras)
+    is_done = all([stage.state().state == "done" for stage in stages])
+    if is_done and index_is_whole(folder):
+        _save_done(folder, stages)
         _delete_frames(folder)
         return
-    if left:
-        _check(folder, recording, workers.jobs)
-    poses = known_poses(folder.inputs, recording)
+    if not is_done:
+        _check(folder, recording, cameras, workers.jobs)
     with folder.lock("run"), workers:
+        folder.manifest.frames_deleted = None  # they are needed
         for _ in range(_MOST_REPAIRS):
+            stages = plan(folder, recording, poses, cameras)
             try:
-                run_odometry(folder, recording, poses, progress, workers.threads)
-                run_classify(folder, workers.threads, progress, workers)
-                streams = [camera.stream for camera in run_cameras(folder, recording)]
-                run_render(folder, streams, workers.threads, progress, execution.renderer, workers)
+                threads, renderer = workers.threads, execution.renderer
+                run_odometry(folder, recording, poses, progress, threads, stages[0])
+                run_classify(folder, threads, progress, workers, stages[1])
+                streams, renders = [c.stream for c in cameras], {s.name: s for s in stages[2:]}
+                run_render(folder, streams, threads, progress, renderer, workers, renders)
                 _delete_frames(folder)
                 return
             except (DatasetError, OdometryError):
@@ -333,6 +335,7 @@ def _make(folder: RunFolder, recording: Dataset, execution: Execution) -> None:
                     raise
                 recording = shorter
                 poses = known_poses(folder.inputs, recording)
+                cameras = run_cameras(folder, recording)
             except DamagedFileError as error:
                 # Size and time were those of its record. Now that it is known, it is made again.
                 whole = folder.path.absolute()  # as workers name it
@@ -344,9 +347,20 @@ def _make(folder: RunFolder, recording: Dataset, execution: Execution) -> None:
         )
 
 
+def _save_done(folder: RunFolder, stages: Sequence[Stage]) -> None:
+    """Save run.yaml of a run that is done: the recording was moved, or a command was killed."""
+    killed = [stage.name for stage in stages if folder.stage(stage.name).state == "running"]
+    if killed or not folder.is_saved:
+        with folder.lock("run"):
+            for name in killed:
+                folder.set_stage(name, state="done")
+            folder.save()
+
+
 def _delete_frames(folder: RunFolder) -> None:
     """Delete the frames of a run that is done, if only its results are to stay."""
-    if keeps_only_results(folder) and folder.records(folder.frame_path(0).parent).names():
+    folders = folder.frame_path(0).parent, folder.classes_path(0).parent
+    if keeps_only_results(folder) and any(folder.records(f).names() for f in folders):
         with folder.lock("run"):
             delete_frames(folder)
 

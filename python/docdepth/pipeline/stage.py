@@ -1,11 +1,19 @@
-"""What the stages of a run share: their state, their warnings and their profile."""
+"""A stage of a run: what its results are made of, which files they are, and in which state.
+
+A stage is a value. Its key is a hash of its inputs: a version, parameters, the identity of the
+files that it reads, and the key of the stage before it. The record of each file that a stage writes
+names this key, so the state of the stage follows from its files alone.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
 
 from docdepth.concurrency import Timer
 from docdepth.errors import Finding, log_findings
@@ -14,39 +22,218 @@ from docdepth.io.run_folder import RunFolder, stage_key
 
 log = logging.getLogger(__name__)
 
+State = Literal["done", "out of date", "incomplete", "damaged", "missing"]
 
-@contextmanager
-def stage(run: RunFolder, name: str, parts: dict[str, Any], all_frames: int) -> Iterator[Profile]:
-    """A stage of a run that has something to do.
+StageInputs = Mapping[str, Any]
+"""What the results of a stage are made of, as plain values."""
 
-    Its parameters, and what else it is made of, are noted in run.yaml when it begins. When it ends,
-    so is its profile. Findings are kept there, and notices that docdepth logs meanwhile.
 
-    Parameters
+@dataclass(frozen=True)
+class StageState:
+    """State of a stage of a run.
+
+    Attributes
+    ----------
+    name : str
+        ``odometry``, ``classify`` or ``render CAMERA``.
+    state : str
+        ``done``; ``out of date``: made of other parameters or inputs; ``incomplete``: some files
+        are not there; ``damaged``: some files differ from what was written; ``missing``: nothing is
+        there.
+    why : str
+        The reason, if it is not done.
+    frames, all_frames : int
+        Sweeps or images that are done, and all of them.
+    size : int
+        Bytes of its files.
+    seconds : float
+        That it took in all, over all commands.
+    """
+
+    name: str
+    state: State
+    why: str
+    frames: int
+    all_frames: int
+    size: int = 0
+    seconds: float = 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """All values by name, ready for JSON."""
+        return dict(vars(self))
+
+
+@dataclass(frozen=True)
+class FrameOutputs:
+    """The files that a stage writes for one sweep or image.
+
+    Attributes
+    ----------
+    files : sequence of Path
+    made_of : dict of str to str
+        What the records of these files name beside the key of the stage: the identity of an image.
+    source : str
+        File that ``made_of`` identifies, for messages.
+    """
+
+    files: Sequence[Path]
+    made_of: Mapping[str, str] = field(default_factory=dict)
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage of a run.
+
+    Attributes
     ----------
     run : RunFolder
     name : str
-    parts : dict
-        What the stage's results are made of; see :mod:`docdepth.pipeline.graph`.
-    all_frames : int
-        Sweeps or images of the stage.
+        ``odometry``, ``classify``, or ``render CAMERA``.
+    inputs : dict
+        What its results are made of. The entry with the name of another stage is the key of that.
+    frames : sequence of FrameOutputs
+        Of each sweep or image. No files where the run has deleted them since.
+    once : sequence of Path
+        Files of the stage as a whole.
+    folders : sequence of Path
+        Where files of this stage that are out of date may lie.
+    before : Stage, optional
+        The stage before it.
+    reasons : dict of str to str
+        By input: the reason to give if it has changed; its values are told where there is none.
+    save_inputs : callable
+        Called when the stage begins: keeps what is known of the files that it reads.
     """
-    before = run.stage(name)
-    key = stage_key(parts)
-    if before.key != key:
-        before = StageEntry()
-    begun = {"state": "running", "key": key, "all_frames": all_frames}
-    run.manifest.stages[name] = before.model_copy(update=begun)
-    run.save()
-    run.set_made_of(name, parts)
-    profile = Profile()
-    with recorded_warnings() as warnings:
-        try:
-            yield profile
-        except BaseException:
-            run.set_stage(name, **profile.state(before, warnings))
-            raise
-    run.set_stage(name, state="done", **profile.state(before, warnings))
+
+    run: RunFolder
+    name: str
+    inputs: StageInputs
+    frames: Sequence[FrameOutputs]
+    once: Sequence[Path] = ()
+    folders: Sequence[Path] = ()
+    before: Stage | None = None
+    reasons: Mapping[str, str] = field(default_factory=dict)
+    save_inputs: Callable[[], None] = lambda: None
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of the inputs."""
+        return stage_key(self.inputs)
+
+    @property
+    def made_of(self) -> dict[str, str]:
+        """What the records of its files name."""
+        return {self._kind: self.key}
+
+    @property
+    def _kind(self) -> str:
+        return self.name.partition(" ")[0]
+
+    def left(self) -> list[int]:
+        """Frames whose files are missing, damaged or made of something else."""
+        return [k for k in range(len(self.frames)) if not self.is_made(k)]
+
+    def is_made(self, frame: int) -> bool:
+        """Whether all files of a frame are whole and up to date."""
+        outputs = self.frames[frame]
+        made_of = {**self.made_of, **outputs.made_of}.items()
+        return all(made_of <= self.run.key(file).items() for file in outputs.files)
+
+    def is_made_once(self) -> bool:
+        """Whether the files of the stage as a whole are whole and up to date."""
+        return all(self.run.key(file) == self.made_of for file in self.once)
+
+    def is_done(self) -> bool:
+        """Whether there is nothing to do."""
+        return self.is_made_once() and not self.left()
+
+    def remove_outdated(self) -> None:
+        """Delete files that were made of something else, and of frames that are no more."""
+        for folder in self.folders:
+            remove_others(self.run, folder, self.made_of)
+
+    def state(self, verify: bool = False) -> StageState:
+        """Compare all files with their records.
+
+        Parameters
+        ----------
+        verify : bool
+            Compare the content of each file with its checksum, not only size and time.
+        """
+        run, checks = self.run, _FileChecks(self.run, verify)
+        whole, changed = 0, []
+        for outputs in self.frames:
+            is_whole = all([checks.add(file, self.made_of) for file in outputs.files])
+            same = all(
+                outputs.made_of.items() <= run.recorded_key(file).items() for file in outputs.files
+            )
+            whole += is_whole and same
+            if is_whole and not same:
+                changed.append(outputs.source)
+        complete = all([checks.add(file, self.made_of) for file in self.once])
+        entry, all_frames = run.stage(self.name), len(self.frames)
+        if all_frames and complete and whole == all_frames:
+            deleted = not self.frames[0].files
+            found: tuple[State, str] = "done", _WERE_DELETED if deleted else ""
+        elif entry.key is None:
+            found, whole = ("missing", "it was not made yet"), 0
+        elif entry.key != self.key:
+            found = "out of date", self._why_outdated()
+        elif checks.damaged:
+            found = "damaged", f"{checks.damaged[0]} differs from what was written"
+        elif entry.state == "running":
+            found = "incomplete", "it was interrupted"
+        elif changed and not checks.missing:
+            found = "out of date", f"{len(changed)} images have changed, {changed[0]} first"
+        else:
+            found = "incomplete", f"{(*checks.missing, 'a file')[0]} is missing"
+        size, seconds = checks.size, entry.total_seconds
+        return StageState(self.name, *found, whole, all_frames, size, seconds)
+
+    def _why_outdated(self) -> str:
+        """Which input has changed."""
+        before = self.run.made_of(self.name)
+        if not before:
+            return "what it was made of is not known"
+        for name, reason in self.reasons.items():
+            if before.get(name) != self.inputs.get(name):
+                return reason
+        name, was, value = _first_difference(before, self.inputs)
+        if self.before is not None and name == self.before.name:
+            if self.run.made_of(name) in (self.before.inputs, before):  # someone has changed notes
+                return f"{name} was made again"
+            return f"{name} is out of date: {self.before._why_outdated()}"
+        if name == "version":
+            return "an earlier version of docdepth made it"
+        return f"{name} was {was}, is {value}"
+
+    @contextmanager
+    def working(self) -> Iterator[Profile]:
+        """Work on the stage.
+
+        Its inputs are noted when it begins, and its profile when it ends. Findings are kept there,
+        and warnings that docdepth logs meanwhile.
+        """
+        run, before = self.run, self.run.stage(self.name)
+        if before.key != self.key:
+            before = StageEntry()
+        begun = {"state": "running", "key": self.key, "all_frames": len(self.frames)}
+        run.manifest.stages[self.name] = before.model_copy(update=begun)
+        run.save()
+        run.set_made_of(self.name, dict(self.inputs))
+        self.save_inputs()
+        profile = Profile()
+        with recorded_warnings() as warnings:
+            try:
+                yield profile
+            except BaseException:
+                run.set_stage(self.name, **profile.entries(before, warnings))
+                raise
+        run.set_stage(self.name, state="done", **profile.entries(before, warnings))
+
+
+_WERE_DELETED = "its frames were deleted when all was done (`keep='results'`)"
 
 
 class Profile:
@@ -76,8 +263,8 @@ class Profile:
         log_findings(log, known)
         self.findings += known
 
-    def state(self, before: StageEntry, notices: list[str]) -> dict[str, Any]:
-        """Entries of the stage, those of earlier commands added."""
+    def entries(self, before: StageEntry, notices: list[str]) -> dict[str, Any]:
+        """Entries of the stage in run.yaml, those of earlier commands added."""
         found = map(str, self.findings)
         wall = self.share * self.timer.wall()
         return {
@@ -106,6 +293,46 @@ def recorded_warnings() -> Iterator[list[str]]:
         logger.removeHandler(handler)
 
 
-def is_outdated(made_of: dict[str, str], key: dict[str, str]) -> bool:
-    """Whether the record of a file names another key of the same stage."""
-    return any(made_of.get(stage, value) != value for stage, value in key.items())
+class _FileChecks:
+    """Compares files with their records, and keeps the names of those that are not whole."""
+
+    def __init__(self, run: RunFolder, verify: bool) -> None:
+        self._run, self._verify = run, verify
+        self.damaged: list[str] = []
+        self.missing: list[str] = []
+        self.size = 0
+
+    def add(self, file: Path, made_of: dict[str, str]) -> bool:
+        """Whether a file is whole and up to date."""
+        records = self._run.records(file.parent)
+        self.size += records.size(file.name)
+        state = records.state(file.name, self._verify)
+        if state == "whole" and made_of.items() <= records.recorded_key(file.name).items():
+            return True
+        name = file.relative_to(self._run.path).as_posix()
+        (self.damaged if state == "damaged" else self.missing).append(name)
+        return False
+
+
+def remove_others(run: RunFolder, folder: Path, made_of: Mapping[str, str]) -> None:
+    """Delete the files of a folder whose records name another key of the same stage."""
+    records = run.records(folder)
+    for name in records.names():
+        recorded = records.recorded_key(name)
+        if any(recorded.get(stage, key) != key for stage, key in made_of.items()):
+            run.remove(folder / name)
+    records.compact()
+
+
+def _first_difference(
+    before: StageInputs, now: StageInputs, path: str = ""
+) -> tuple[str, Any, Any]:
+    """Dotted name of the first input that differs, and both values."""
+    for name in {**before, **now}:
+        was, value = before.get(name), now.get(name)
+        if was != value:
+            dotted = f"{path}{name}"
+            if isinstance(was, dict) and isinstance(value, dict):
+                return _first_difference(was, value, f"{dotted}.")
+            return dotted, was, value
+    return "", None, None

@@ -18,7 +18,7 @@ from docdepth.config import Parameters
 from docdepth.errors import ConfigError, RunError
 from docdepth.io.atomic import write_atomically
 from docdepth.io.run_folder import RunFolder, stage_key
-from docdepth.pipeline.run_state import require
+from docdepth.pipeline.plan import require
 from docdepth.tuning.judge import Judge
 from docdepth.tuning.results import Outcome, write_csv
 from docdepth.tuning.trial_run import make_trial

@@ -1,0 +1,293 @@
+"""The stages of a run: recording, odometry, classify, and a render for each camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.datasets.base import Dataset
+from docdepth.errors import RunError
+from docdepth.io.depth import DESCRIPTION
+from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.io.tracks import TRACKS
+from docdepth.pipeline.depth_files import DepthFiles
+from docdepth.pipeline.input_files import InputFiles
+from docdepth.pipeline.label_folder import LabelFolder
+from docdepth.pipeline.run_inputs import RunCamera, known_poses, open_recording, run_cameras
+from docdepth.pipeline.stage import FrameOutputs, Stage, StageInputs, StageState
+
+_VERSIONS = {"odometry": 8, "classify": 21, "render": 10}
+"""Counted up when a new version of docdepth makes other results of the same inputs."""
+
+
+def odometry_stage(
+    run: RunFolder,
+    recording: Dataset | None,
+    poses: NDArray[np.float64] | None = None,
+) -> Stage:
+    """Poses, and deskewed sweeps as frames.
+
+    Where the recording is None, since it lies on a disk that is away, it counts as unchanged.
+    """
+    own = {
+        "version": _VERSIONS["odometry"],
+        "odometry": run.parameters.odometry.model_dump(mode="json"),
+    }
+    inputs = InputFiles(run)
+    made_of: StageInputs
+    if recording is None:
+        made_of, count = {**run.made_of("odometry"), **own}, run.stage("odometry").all_frames
+    else:
+        first, up, count = recording.sweep(0), run.manifest.derived.up, len(recording)
+        rig = first.sensor_rig
+        made_of = own | {
+            "sweeps": inputs.sweeps(recording),
+            "times": stage_key(recording.times.tolist()),
+            "poses": None if poses is None else stage_key(np.asarray(poses).tolist()),
+            "rays": stage_key(
+                None if rig is None else rig.T_lidar_sensor.tolist(),
+                first.motion_compensated,
+                first.relative_time is not None,
+                *([up] if up else []),
+            ),
+        }
+    has_sensors = run.sensors_path.name in run.records(run.path)
+    changed = inputs.changed("sweeps")
+    sweeps = f"sweeps have changed, {changed[0]} first" if changed else "sweeps have changed"
+    others = {name: f"the {name} of the input have changed" for name in ("times", "poses", "rays")}
+    return Stage(
+        run,
+        "odometry",
+        made_of,
+        _frames(run, "odometry", made_of, [[run.frame_path(i)] for i in range(count)]),
+        [run.trajectory_path, *([run.sensors_path] if has_sensors else [])],
+        [run.frame_path(0).parent],
+        reasons={"sweeps": sweeps, **others},
+        save_inputs=inputs.save,
+    )
+
+
+def classify_stage(run: RunFolder, odometry: Stage | None = None) -> Stage:
+    """Classes of the frames, label files, and tracks; or labels that the run was given.
+
+    Without the stage before it, frames count as up to date.
+    """
+    labels = None if run.manifest.inputs is None else run.manifest.inputs.labels
+    inputs = InputFiles(run)
+    known = run.stage("odometry")
+    made_of: dict[str, object] = {
+        "version": _VERSIONS["classify"],
+        "odometry": known.key if odometry is None else odometry.key,
+    }
+    if labels is None:
+        made_of["ground"] = run.parameters.ground.model_dump(mode="json")
+        made_of["dynamics"] = run.parameters.dynamics.model_dump(mode="json")
+        has_tracks = run.parameters.dynamics.evidence == "tracks"
+    else:
+        made_of["labels"] = run.made_of("classify").get("labels")
+        if labels.is_dir():  # else on a disk that is away
+            given = LabelFolder(labels)
+            made_of["labels"] = inputs.labels(given.files(), given.folder)
+        has_tracks = TRACKS in run.records(run.path)
+    label_files = _label_files(run)
+    count = len(run.trajectory()) if odometry is None else len(odometry.frames)
+    files = [[run.classes_path(i)] for i in range(count)]
+    frames = [
+        FrameOutputs(
+            [*outputs.files, label_files.get(i, run.path / "labels" / f"of frame {i}")],
+            {"frame": str(i)},
+        )
+        for i, outputs in enumerate(_frames(run, "classify", made_of, files))
+    ]
+    return Stage(
+        run,
+        "classify",
+        made_of,
+        frames,
+        [run.path / TRACKS] if has_tracks else [],
+        [run.path / "classes", run.path / "labels", run.path],
+        odometry,
+        {"labels": "other labels are given"},
+        inputs.save,
+    )
+
+
+def render_stage(
+    run: RunFolder,
+    camera: RunCamera | str,
+    times: NDArray[np.int64] | None,
+    classify: Stage | None = None,
+) -> Stage:
+    """Depth maps of a camera, with layers and pictures.
+
+    ``times`` are those of the sweeps: images outside have no depth. A camera that cannot be opened,
+    since the recording is away, is given by its name and counts as unchanged. Without the stage
+    before it, classes count as up to date.
+    """
+    key = run.stage("classify").key if classify is None else classify.key
+    own = {"version": _VERSIONS["render"], "classify": key}
+    if isinstance(camera, str):
+        name, made_of = f"render {camera}", {**run.made_of(f"render {camera}"), **own}
+        folder = run.path / "depth" / run.cameras[camera].folder
+        records = run.records(folder)
+        maps = [file for file in records.names() if "image" in records.recorded_key(file)]
+        return Stage(
+            run, name, made_of, [FrameOutputs([folder / m]) for m in maps], before=classify
+        )
+    stream, p, inputs = camera.stream, camera.parameters, InputFiles(run)
+    made_of = {
+        **own,
+        "render": p.render.model_dump(mode="json"),
+        "output": p.output.model_dump(mode="json"),
+        "times": stage_key(stream.times.tolist(), stream.names),
+        "camera": {
+            **stream.camera.as_dict(),
+            "distortion": stream.distortion_coefficients,
+            "T_camera_lidar": stream.T_camera_lidar.tolist(),
+        },
+    }
+    files = DepthFiles(run, stream, camera.folder, p)
+    identities = inputs.images(stream)
+    inside = np.ones(len(stream.times), bool)
+    if times is not None:
+        inside = (stream.times >= times[0]) & (stream.times <= times[-1])
+    return Stage(
+        run,
+        f"render {stream.name}",
+        made_of,
+        [
+            FrameOutputs(
+                files.files(k),
+                {"image": identities[k]},
+                stream.images[k].name if stream.images else "",
+            )
+            for k in np.flatnonzero(inside).tolist()
+        ],
+        files.once(),
+        files.folders(),
+        classify,
+        {"times": "the times of the images have changed"},
+        inputs.save,
+    )
+
+
+def _frames(
+    run: RunFolder, stage: str, inputs: StageInputs, files: list[list[Path]]
+) -> list[FrameOutputs]:
+    """Files of frames; none where they were deleted when all was done."""
+    deleted = (run.manifest.frames_deleted or {}).get(stage) == stage_key(inputs)
+    return [FrameOutputs([] if deleted else of_frame) for of_frame in files]
+
+
+def _label_files(run: RunFolder) -> dict[int, Path]:
+    """The label file of each frame that has one."""
+    folder = run.path / "labels"
+    records = run.records(folder)
+    found = {}
+    for name in records.names():
+        frame = records.recorded_key(name).get("frame", "")
+        if frame.isdigit():
+            found[int(frame)] = folder / name
+    return found
+
+
+def plan(
+    run: RunFolder,
+    recording: Dataset | None = None,
+    poses: NDArray[np.float64] | None = None,
+    cameras: Sequence[RunCamera] = (),
+) -> list[Stage]:
+    """All stages of a run in order: odometry, classify, and a render for each camera.
+
+    Parameters
+    ----------
+    run : RunFolder
+    recording : Dataset, optional
+        If absent, inputs count as unchanged: it may lie on a disk that is away.
+    poses : ndarray of float64, shape (n, 4, 4), optional
+        Given poses.
+    cameras : sequence of RunCamera
+        Of the recording, and virtual ones.
+    """
+    odometry = odometry_stage(run, recording, poses)
+    classify = classify_stage(run, odometry)
+    opened = {camera.stream.name: camera for camera in cameras}
+    times = None if recording is None else recording.times
+    renders = [render_stage(run, opened.get(c, c), times, classify) for c in run.cameras]
+    return [odometry, classify, *renders]
+
+
+def stages_of(run: RunFolder) -> list[Stage]:
+    """:func:`plan` with the inputs that the run was given."""
+    place = run.recording_path
+    if place is None or not place.exists():
+        return plan(run)
+    recording = open_recording(run.inputs, run.manifest.derived)
+    return plan(run, recording, known_poses(run.inputs, recording), run_cameras(run, recording))
+
+
+def states(run: RunFolder, *, verify: bool = False) -> list[StageState]:
+    """The state of each stage of a run.
+
+    Parameters
+    ----------
+    run : RunFolder
+    verify : bool
+        Compare the content of each file with its checksum, not only size and time.
+    """
+    return [stage.state(verify) for stage in stages_of(run)]
+
+
+def require(run: RunFolder, name: str, *, frames: bool = True) -> None:
+    """Refuse results of a stage that are missing, damaged or out of date.
+
+    Folders that docdepth did not write, or an earlier version, are taken as they are.
+
+    Parameters
+    ----------
+    run : RunFolder
+    name : str
+        ``odometry``, ``classify``, or ``render CAMERA``.
+    frames : bool
+        Whether what ``odometry`` and ``classify`` wrote into the frames is needed.
+
+    Raises
+    ------
+    RunError
+    """
+    if run.manifest.folders_written is None:
+        return
+    state = next(stage.state() for stage in stages_of(run) if stage.name == name)
+    if state.state != "done":
+        raise RunError(
+            f"{name} of {run.path} is {state.state}: {state.why}",
+            f"bring it up to date: `docdepth.run(..., {str(run.path)!r})`",
+        )
+    if frames and not name.startswith("render"):
+        run.check_has_frames()
+
+
+def forget_cameras(path: Path, names: Sequence[str]) -> None:
+    """Take back cameras of which no map was drawn, so that the run can go on without them."""
+    run = RunFolder.open(path)  # as it was saved, without the settings that were refused
+    undrawn = [name for name in names if name in run.cameras and not _has_maps(run, name)]
+    if not undrawn:
+        return
+    with run.lock("render"):
+        for name in undrawn:
+            camera = run.cameras.pop(name).folder
+            run.manifest.stages.pop(f"render {name}", None)
+            for place in (run.path / "depth" / camera, run.calibration_folder(camera)):
+                records = run.records(place)
+                for file in records.names():
+                    if file == DESCRIPTION or "render" in records.recorded_key(file):
+                        run.remove(place / file)
+        run.save()
+
+
+def _has_maps(run: RunFolder, camera: str) -> bool:
+    place = run.path / "depth" / run.cameras[camera].folder
+    return bool(set(run.records(place).names()) - {DESCRIPTION})
