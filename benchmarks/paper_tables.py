@@ -41,7 +41,7 @@ from docdepth.io.depth import maps_in, read_depth, write_depth
 from docdepth.io.inputs import RunInputs
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry
-from docdepth.pipeline.release import INSIDE, write_release
+from docdepth.pipeline.convert import INSIDE, write_release
 from docdepth.synthetic import write_drive
 from docdepth.tuning import Judge, read_trials, tune
 

@@ -15,7 +15,7 @@ from docdepth.cli import app
 from docdepth.errors import InputError, RunError
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.run_inputs import recorded_camera
+from docdepth.pipeline.run_cameras import recorded_camera
 from true_drive import write_true_drive
 
 LENGTH = 7
@@ -125,6 +125,6 @@ def test_a_lost_map_is_no_reason_to_lose_the_errors(run):
 def test_mistakes(finished, run):
     with pytest.raises(InputError, match="each 0-th"):
         evaluate_held_out(finished, every=0)
-    change(run, LEFT_OUT, classid=None, votes_static=None, votes_dynamic=None)
-    with pytest.raises(RunError, match="has no classes"):
+    RunFolder.open(run).classes_path(LEFT_OUT).unlink()
+    with pytest.raises(RunError, match="is missing"):
         evaluate_held_out(run, every=7)

@@ -11,8 +11,7 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import rotation_exp
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.kitti_tracking import write_kitti_tracking
-from docdepth.io.tracks import COLUMNS, read_tracks, write_tracks
+from docdepth.io.tracks import COLUMNS, read_tracks, write_kitti_tracking, write_tracks
 from docdepth.synthetic import Drive, scene, sensor
 
 TIMES = np.arange(5) * 100_000_000

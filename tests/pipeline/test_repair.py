@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from command_line import cli
+from docdepth.cli.remedies import as_commands
 from docdepth.errors import RunError
 from docdepth.io.depth import read_depth
 from docdepth.io.poses import write_kitti
@@ -65,7 +66,7 @@ def state_of(root: Path) -> dict[str, tuple[str, str]]:
 def refused(*arguments: object) -> str:
     result = cli(*arguments)
     assert result.exit_code == 2, result.output
-    return str(result.exception)
+    return as_commands(str(result.exception))
 
 
 def test_results_of_a_changed_stage_are_not_used(root):
@@ -84,7 +85,7 @@ def test_results_of_a_changed_stage_are_not_used(root):
     ):
         text = refused(*verb)
         assert "is out of date" in text
-        assert f"bring it up to date: `docdepth.run(..., '{root / 'run'}')`" in text
+        assert f"bring it up to date: docdepth run {root / 'run'}" in text
     # The first command goes on with the changed parameter and tells how to go back.
     result = again(root)
     assert result.exit_code == 0
@@ -378,7 +379,7 @@ def test_killed_runs_continue(root):
 def test_a_run_without_its_state_says_what_to_do(root):
     shutil.rmtree(root / "run" / ".docdepth")
     (root / "run" / "run.yaml").write_text("- 1")
-    assert "run.yaml is missing or damaged; give the first command again" in refused(
+    assert "run.yaml is missing or damaged; begin the run again: docdepth run" in refused(
         "render", root / "run"
     )
     with pytest.raises(RunError, match="holds no run"):

@@ -8,8 +8,15 @@ from docdepth.dynamics.tracking import TrackedSweep
 from docdepth.errors import DamagedFileError
 from docdepth.geometry.track import Track
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.array_files import array_offsets, read_arrays, write_arrays
-from docdepth.pipeline.stored_tracks import are_stored, store_tracks, stored_sweeps, stored_tracks
+from docdepth.pipeline.stored_arrays import (
+    are_stored,
+    array_offsets,
+    read_arrays,
+    store_tracks,
+    stored_sweeps,
+    stored_tracks,
+    write_arrays,
+)
 
 KEY = {"classify": "1"}
 

@@ -13,7 +13,7 @@ from docdepth.cli.progress import progress_bars
 from docdepth.cli.terminal import app, out, verb, volume
 from docdepth.io.labels import LABEL_FORMATS
 from docdepth.io.poses import POSE_FORMATS
-from docdepth.pipeline.release import DEPTH_FORMATS
+from docdepth.pipeline.convert import DEPTH_FORMATS
 
 
 @verb(app)

@@ -192,7 +192,7 @@ def depth(
     from docdepth.evaluation.error_page import DepthPage
     from docdepth.evaluation.runs import evaluate_depth
     from docdepth.io.run_folder import RunFolder
-    from docdepth.pipeline.run_inputs import recorded_camera
+    from docdepth.pipeline.run_cameras import recorded_camera
 
     def start() -> DepthPage:
         folder = RunFolder.open(run)
@@ -241,7 +241,7 @@ def held_out(
     from docdepth.evaluation.held_out import evaluate_held_out
     from docdepth.evaluation.left_out import LeftOut
     from docdepth.io.run_folder import RunFolder
-    from docdepth.pipeline.run_inputs import recorded_camera
+    from docdepth.pipeline.run_cameras import recorded_camera
 
     left_out = LeftOut(lidar, beams, sectors)
 

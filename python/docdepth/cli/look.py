@@ -76,7 +76,7 @@ def video(
     from docdepth.errors import ConfigError
     from docdepth.io.run_folder import RunFolder
     from docdepth.pipeline.plan import require
-    from docdepth.pipeline.run_inputs import recorded_camera
+    from docdepth.pipeline.run_cameras import recorded_camera
     from docdepth.visualization.video import write_video, write_video_from_above
 
     folder = RunFolder.open(run)
@@ -138,7 +138,7 @@ def view(
     from docdepth.errors import ConfigError
     from docdepth.io.run_folder import RunFolder
     from docdepth.pipeline.plan import require
-    from docdepth.pipeline.run_inputs import cameras_at_hand
+    from docdepth.pipeline.run_cameras import cameras_at_hand
     from docdepth.visualization.rerun_recording import write_rerun
     from docdepth.visualization.viewer import view_run
 

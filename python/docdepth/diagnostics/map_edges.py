@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from docdepth.diagnostics.edge_fit import Edges
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.track import Tracks
-from docdepth.io.kitti_tracking import box_in_image
+from docdepth.io.tracks import box_in_image
 
 _JUMP = (0.5, 0.15)  # metres, and share of the depth, that the farther surface lies behind
 _DEPTHS = (3.0, 50.0)  # metres; nearer is the vehicle, farther returns are too sparse

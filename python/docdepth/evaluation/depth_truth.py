@@ -13,7 +13,7 @@ from docdepth.errors import DatasetError
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.npy import ArrayError, read_array
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.release import INSIDE
+from docdepth.pipeline.convert import INSIDE
 
 log = logging.getLogger(__name__)
 

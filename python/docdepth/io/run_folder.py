@@ -23,7 +23,9 @@ from docdepth.io.calibration import read_calibration
 from docdepth.io.frames import (
     read_frame,
     read_points,
+    read_sensors,
     read_trajectory,
+    sensors_bytes,
     with_classes,
     write_classes,
     write_frame,
@@ -37,7 +39,6 @@ from docdepth.io.manifest import (
     read_manifest,
 )
 from docdepth.io.recorded_folder import NOTES, RecordedFolder, move_aside
-from docdepth.io.sensors import read_sensors, sensors_bytes
 from docdepth.io.yaml_json import parse_json
 
 log = logging.getLogger(__name__)
@@ -106,13 +107,13 @@ class RunFolder(RecordedFolder):
             The folder holds another run, or files that are not a run.
         """
         if self.path.exists() and not self.path.is_dir():
-            raise RunError(f"{self.path} is a file; choose a folder with -o")
+            raise RunError(f"{self.path} is a file", "name a folder by `output`")
         derived = derived or DerivedInputs()
         if self.begun:
             self._continue(inputs, derived, parameters, force)
         elif self._has_foreign_files():
             raise RunError(
-                f"{self.path} is not empty and holds no run; choose another folder with -o"
+                f"{self.path} is not empty and holds no run", "name another folder by `output`"
             )
         else:
             self.manifest = RunManifest(
@@ -145,8 +146,8 @@ class RunFolder(RecordedFolder):
                 continue
             difference = first_difference(have or RunManifest(), want or RunManifest())
             raise RunError(
-                f"{self.path} holds another run: its {difference}; "
-                "choose another folder with -o, or go on here with the new values by --force"
+                f"{self.path} holds another run: its {difference}",
+                "name another folder by `output`, or go on here with new values by `force=True`",
             )
         begun.inputs, begun.derived = inputs, derived
         if parameters != first or begun.parameters_at_start is None:
@@ -182,12 +183,12 @@ class RunFolder(RecordedFolder):
         if not run.begun:
             if run._manifest_path.exists() or run._records_file(run.path).is_file():
                 raise RunError(
-                    f"{run._manifest_path} is missing or damaged; give the first command again: "
-                    f"docdepth run RECORDING -o {path}"
+                    f"{run._manifest_path} is missing or damaged",
+                    f"begin the run again: `docdepth.run(RECORDING, {str(path)!r})`",
                 )
             if not run.trajectory_path.is_file():
                 raise RunError(
-                    f"{path} holds no run; start one with: docdepth run RECORDING -o {path}"
+                    f"{path} holds no run", f"start one: `docdepth.run(RECORDING, {str(path)!r})`"
                 )
         return run
 
@@ -256,7 +257,10 @@ class RunFolder(RecordedFolder):
             It was not made of a recording.
         """
         if self.manifest.inputs is None:
-            raise RunError(f"{self.path} was not made of a recording; name one: docdepth run")
+            raise RunError(
+                f"{self.path} was not made of a recording",
+                "name one: `docdepth.run(RECORDING, ...)`",
+            )
         return self.manifest.inputs
 
     @property
@@ -328,8 +332,8 @@ class RunFolder(RecordedFolder):
         """
         if self.manifest.frames_deleted is not None:
             raise RunError(
-                f"{self.path} keeps only its results (--keep results), and this needs its frames; "
-                f"make them again: docdepth run {self.path} --keep frames"
+                f"{self.path} keeps only its results, and this needs its frames",
+                f"make them again: `docdepth.run(..., {str(self.path)!r}, keep='frames')`",
             )
 
     def frame(self, index: int) -> LidarFrame:
@@ -412,7 +416,7 @@ class RunFolder(RecordedFolder):
         CalibrationError
             A calibration file is missing or damaged.
         """
-        remedy = f"it is written by: docdepth render {self.path}"
+        remedy = f"it is written by: `docdepth.run(..., {str(self.path)!r})`"
         return read_calibration(self.calibration_folder(name), remedy)
 
     def depth_folder(self, camera: str | None = None) -> str:
@@ -431,8 +435,8 @@ class RunFolder(RecordedFolder):
         folders = {name: entry.folder for name, entry in self.cameras.items()}
         if not folders and self.manifest.inputs is not None:
             raise RunError(
-                f"{self.path} has no depth maps, since its run has no camera; name one: "
-                f"docdepth run RECORDING -o {self.path} --camera NAME"
+                f"{self.path} has no depth maps, since its run has no camera",
+                f"name one: `docdepth.run(RECORDING, {str(self.path)!r}, camera=NAME)`",
             )
         if not folders:  # of the official release, or of arrays
             apart = (p.name for p in (self.path / "depth").glob("*") if p.is_dir())

@@ -15,12 +15,12 @@ from docdepth.dynamics.sweep_classifier import SweepClassifier
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import Chunk, chunks, label_chunk
 from docdepth.io.run_folder import RunFolder, stage_key
-from docdepth.pipeline.array_files import write_arrays
 from docdepth.pipeline.given_labels import take_labels
-from docdepth.pipeline.memory import parameters_within_budget
 from docdepth.pipeline.parallel import ChunkContext, WorkerPool
 from docdepth.pipeline.plan import classify_stage
+from docdepth.pipeline.resources import parameters_within_budget
 from docdepth.pipeline.stage import Stage, remove_others
+from docdepth.pipeline.stored_arrays import write_arrays
 from docdepth.pipeline.sweep_store import EVIDENCE, GROUND, TRACKING, FrameStore, ground_file
 
 

@@ -24,8 +24,8 @@ from docdepth.io.atomic import npz_bytes
 from docdepth.io.calibration import EXTRINSICS, INTRINSICS, write_calibration
 from docdepth.io.depth import DESCRIPTION, FORMATS, encode_depth, read_depth
 from docdepth.io.frames import write_trajectory
-from docdepth.io.kitti_tracking import KITTI_TRACKS, write_kitti_tracking
 from docdepth.io.run_folder import RunFolder
+from docdepth.io.tracks import KITTI_TRACKS, write_kitti_tracking
 from docdepth.render.depth_map import NEAR
 from docdepth.visualization.pictures import overlay
 

@@ -16,7 +16,8 @@ from docdepth.io.tracks import TRACKS
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.label_folder import LabelFolder
-from docdepth.pipeline.run_inputs import RunCamera, known_poses, open_recording, run_cameras
+from docdepth.pipeline.run_cameras import RunCamera, run_cameras
+from docdepth.pipeline.run_inputs import known_poses, open_recording
 from docdepth.pipeline.stage import FrameOutputs, Stage, StageInputs, StageState
 
 _VERSIONS = {"odometry": 8, "classify": 21, "render": 10}
@@ -252,7 +253,7 @@ def require(run: RunFolder, name: str, *, frames: bool = True) -> None:
     name : str
         ``odometry``, ``classify``, or ``render CAMERA``.
     frames : bool
-        Whether what ``odometry`` and ``classify`` wrote into the frames is needed.
+        Whether frames are needed, too. Maps of ``render`` never need them.
 
     Raises
     ------
@@ -260,13 +261,17 @@ def require(run: RunFolder, name: str, *, frames: bool = True) -> None:
     """
     if run.manifest.folders_written is None:
         return
-    state = next(stage.state() for stage in stages_of(run) if stage.name == name)
-    if state.state != "done":
-        raise RunError(
-            f"{name} of {run.path} is {state.state}: {state.why}",
-            f"bring it up to date: `docdepth.run(..., {str(run.path)!r})`",
-        )
-    if frames and not name.startswith("render"):
+    frames = frames and not name.startswith("render")
+    stages = {stage.name: stage for stage in stages_of(run)}
+    # Classes are of the frames that odometry wrote.
+    needed = [name] if name == "odometry" or not frames else ["odometry", name]
+    for state in (stages[one].state() for one in needed):
+        if state.state != "done":
+            raise RunError(
+                f"{state.name} of {run.path} is {state.state}: {state.why}",
+                f"bring it up to date: `docdepth.run(..., {str(run.path)!r})`",
+            )
+    if frames:
         run.check_has_frames()
 
 

@@ -21,28 +21,19 @@ from docdepth.errors import (
     raise_findings,
 )
 from docdepth.io.inputs import RunInputs, names_in
-from docdepth.io.manifest import CameraEntry, VirtualCamera
+from docdepth.io.manifest import CameraEntry, Keep, VirtualCamera
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.check import check_inputs, check_opened
 from docdepth.pipeline.classify import run_classify
 from docdepth.pipeline.execution import Execution
 from docdepth.pipeline.given_labels import open_labels, take_labels
 from docdepth.pipeline.input_files import InputFiles
-from docdepth.pipeline.kept_frames import choose_kept, delete_frames, keeps_only_results
-from docdepth.pipeline.memory import keep_budget, parameters_within_budget, within_memory
 from docdepth.pipeline.odometry import run_odometry
 from docdepth.pipeline.plan import forget_cameras, plan, require
 from docdepth.pipeline.render import run_render
-from docdepth.pipeline.run_inputs import (
-    RunCamera,
-    known_poses,
-    open_as_begun,
-    open_inputs,
-    open_run_cameras,
-    recording_of,
-    register,
-    run_cameras,
-)
+from docdepth.pipeline.resources import keep_budget, parameters_within_budget, within_memory
+from docdepth.pipeline.run_cameras import RunCamera, add_cameras, open_run_cameras, run_cameras
+from docdepth.pipeline.run_inputs import known_poses, open_as_begun, open_inputs, recording_of
 from docdepth.pipeline.stage import Stage
 from docdepth.pipeline.virtual_camera import check_name
 from docdepth.render.backends import Renderer
@@ -108,7 +99,7 @@ def run(
     choose_kept(folder, execution.keep)
     if execution.memory is not None:
         keep_budget(folder, within)
-    register(folder, opened.cameras)
+    add_cameras(folder, opened.cameras)
     if inputs.labels is not None:
         open_labels(folder)
     _make(folder, opened.recording, execution)
@@ -254,10 +245,10 @@ def _named_cameras(
         return [name]
     if camera is not None:
         streams = open_run_cameras(folder, recording, names_in(camera))
-        register(folder, streams)
+        add_cameras(folder, streams)
         return [stream.name for stream in streams]
     if not folder.cameras:
-        register(folder, list(recording.cameras.values()))
+        add_cameras(folder, list(recording.cameras.values()))
     return []
 
 
@@ -378,3 +369,26 @@ def _without_newly_broken(folder: RunFolder) -> Dataset | None:
     folder.manifest.derived = opened.derived
     folder.save()
     return opened.recording
+
+
+def choose_kept(run: RunFolder, keep: Keep | None) -> None:
+    """Note what stays once all is done; as before if it is None."""
+    run.manifest.keep = keep or run.manifest.keep
+    if not keeps_only_results(run):
+        run.manifest.frames_deleted = None  # so its frames are missing
+
+
+def keeps_only_results(run: RunFolder) -> bool:
+    """Whether the frames of a run are deleted once all is done."""
+    return run.manifest.keep == "results"
+
+
+def delete_frames(run: RunFolder) -> None:
+    """Delete the frames of a run that is done, or what an interrupted command left of them."""
+    run.manifest.frames_deleted = {name: run.stage(name).key for name in ("odometry", "classify")}
+    run.save()  # before the first is gone: a run that is interrupted here misses none
+    for folder in run.frame_path(0).parent, run.classes_path(0).parent:
+        records = run.records(folder)
+        for name in records.names():
+            run.remove(folder / name)
+        records.compact()

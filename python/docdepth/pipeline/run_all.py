@@ -16,8 +16,8 @@ from docdepth.datasets import find_recordings, open_dataset
 from docdepth.errors import ConfigError, DatasetError, DocDepthError, RunError
 from docdepth.io.inputs import RunInputs
 from docdepth.pipeline.execution import Execution
-from docdepth.pipeline.memory import bytes_of
 from docdepth.pipeline.parallel import WorkerPool
+from docdepth.pipeline.resources import bytes_of
 from docdepth.pipeline.run import models_of, run
 from docdepth.pipeline.virtual_camera import parse_size
 

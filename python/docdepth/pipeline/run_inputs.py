@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.config import Parameters, replaced
 from docdepth.datasets import (
     CameraStream,
     Dataset,
@@ -32,34 +31,15 @@ from docdepth.errors import CalibrationError, DatasetError, log_findings
 from docdepth.geometry.camera import Camera
 from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.inputs import DerivedInputs, Point, RunInputs, SkippedFrames
-from docdepth.io.manifest import CameraEntry
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.broken_frames import find_broken, kept_part
 from docdepth.pipeline.given_poses import read_given_poses
-from docdepth.pipeline.virtual_camera import parse_size, virtual_stream
+from docdepth.pipeline.virtual_camera import parse_size
 
 log = logging.getLogger(__name__)
 
 ALL, NO_CAMERA = "all", "none"
 """Names that stand for all cameras of a recording, and for no camera: poses and labels alone."""
-
-
-@dataclass(frozen=True)
-class RunCamera:
-    """A camera of a run.
-
-    Attributes
-    ----------
-    stream : CameraStream
-    folder : str
-        Where its maps lie in ``depth/``; empty for the first camera of a run.
-    parameters : Parameters
-        Those of the run with the camera's own settings.
-    """
-
-    stream: CameraStream
-    folder: str
-    parameters: Parameters
 
 
 @dataclass(frozen=True)
@@ -276,7 +256,7 @@ def open_cameras(
     """
     size = parse_size(inputs.image_size)
     whole = full_recording(recording)
-    streams = [whole.cameras[name] for name in _camera_names(wanted, whole)]
+    streams = [whole.cameras[name] for name in camera_names(wanted, whole)]
     if size:
         streams = [
             s
@@ -319,79 +299,6 @@ def _with_masks(
     ]
 
 
-def register(run: RunFolder, streams: Sequence[CameraStream]) -> None:
-    """Note cameras of the recording in run.yaml.
-
-    A camera that is alone when the first maps are made has ``depth/`` itself, any other a folder of
-    its own. A camera keeps its folder.
-    """
-    alone = len(streams) == 1 and not run.cameras
-    for stream in streams:
-        folder = "" if alone else stream.name
-        run.cameras.setdefault(stream.name, CameraEntry(folder=folder))
-
-
-def open_run_cameras(
-    run: RunFolder, recording: Dataset, names: Sequence[str] | None
-) -> list[CameraStream]:
-    """Cameras of a recording as the run was given them."""
-    if run.manifest.inputs is None:
-        found = recording.cameras
-        return [found[name] for name in _camera_names(names, recording)]
-    return open_cameras(run.manifest.inputs, recording, names)
-
-
-def run_cameras(
-    run: RunFolder, recording: Dataset | None, names: Sequence[str] | None = None
-) -> list[RunCamera]:
-    """The cameras of a run, opened.
-
-    Parameters
-    ----------
-    run : RunFolder
-    recording : Dataset, optional
-        None where it is away: only virtual cameras can be opened.
-    names : sequence of str, optional
-        Only these.
-    """
-    found = []
-    for name, entry in run.cameras.items():
-        if names is not None and name not in names:
-            continue
-        if entry.virtual is not None:
-            times = run.trajectory().times if recording is None else recording.times
-            stream = virtual_stream(name, entry.virtual, times)
-        elif recording is not None:
-            (stream,) = open_run_cameras(run, recording, [name])
-        else:
-            continue
-        found.append(RunCamera(stream, entry.folder, camera_parameters(run, name)))
-    return found
-
-
-def cameras_at_hand(run: RunFolder) -> dict[str, CameraStream]:
-    """The recorded cameras of a run by name; none where its recording is away."""
-    path = run.recording_path
-    if path is None or not path.exists():
-        return {}
-    cameras = run_cameras(run, recording_of(run))
-    return {camera.stream.name: camera.stream for camera in cameras}
-
-
-def camera_parameters(run: RunFolder, name: str) -> Parameters:
-    """The parameters of a run with the settings of one camera."""
-    return replaced(run.parameters, run.cameras[name].settings if name in run.cameras else {})
-
-
-def recorded_camera(run: RunFolder, folder: str) -> CameraStream | None:
-    """The camera whose maps are in ``depth/FOLDER``; None for a virtual camera."""
-    inputs = run.manifest.inputs
-    for name, entry in run.cameras.items():
-        if entry.folder == folder and entry.virtual is None and inputs is not None:
-            return open_cameras(inputs, recording_of(run), [name])[0]
-    return None
-
-
 def known_poses(inputs: RunInputs, recording: Dataset) -> NDArray[np.float64] | None:
     """Poses ``T_world_lidar`` (n, 4, 4) of file, recording or run; None: to be estimated."""
     if inputs.poses:
@@ -399,7 +306,7 @@ def known_poses(inputs: RunInputs, recording: Dataset) -> NDArray[np.float64] | 
     return recording.poses if recording.name == "run" else None
 
 
-def _camera_names(wanted: Sequence[str] | None, recording: Dataset) -> list[str]:
+def camera_names(wanted: Sequence[str] | None, recording: Dataset) -> list[str]:
     """Names of the wanted cameras; the left colour camera if none is named."""
     names = list(dict.fromkeys(wanted or ()))
     if names == [NO_CAMERA]:

@@ -27,10 +27,18 @@ from docdepth.ground.growing import Chunk, chunks
 from docdepth.io.labels import write_labels
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import TRACKS, write_tracks
-from docdepth.pipeline.array_files import Offsets, array_offsets, read_arrays, write_arrays
-from docdepth.pipeline.memory import parameters_within_budget
+from docdepth.pipeline.resources import parameters_within_budget
 from docdepth.pipeline.stage import Stage
-from docdepth.pipeline.stored_tracks import are_stored, store_tracks, stored_sweeps, stored_tracks
+from docdepth.pipeline.stored_arrays import (
+    Offsets,
+    are_stored,
+    array_offsets,
+    read_arrays,
+    store_tracks,
+    stored_sweeps,
+    stored_tracks,
+    write_arrays,
+)
 
 EVIDENCE = "evidence"
 """Folder in the notes of a run with what an interrupted stage goes on with."""

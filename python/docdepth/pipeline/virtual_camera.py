@@ -14,7 +14,7 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse, poses_from, quaternion_to_matrix
 from docdepth.io.manifest import VirtualCamera
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.check_resources import check_image_size
+from docdepth.pipeline.resources import check_image_size
 
 FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation from camera axes to LiDAR axes when the camera looks along the LiDAR's x axis."""
@@ -46,9 +46,9 @@ def virtual_camera(pose: str, K: str, size: str, times: Path | None = None) -> V
     """
     pixels = parse_size(size)
     if pixels is None:
-        raise ConfigError("--size is missing; write --size WIDTHxHEIGHT, for example 1280x720")
-    check_image_size(*pixels, "--size")
-    fx, fy, cx, cy = _numbers("--K", K, 4, "fx,fy,cx,cy")
+        raise ConfigError("`size` is missing; write WIDTHxHEIGHT, for example 1280x720")
+    check_image_size(*pixels, "`size`")
+    fx, fy, cx, cy = _numbers("K", K, 4, "fx,fy,cx,cy")
     return VirtualCamera(
         T_lidar_camera=parse_pose(pose).tolist(),
         K=[[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]],
@@ -89,9 +89,9 @@ def check_name(run: RunFolder, name: str) -> None:
     """
     # A name with a dot could be that of a file of the first camera: 000000.png, depth.json.
     if not name or set(name) & set("./\\\0"):
-        raise ConfigError(f"--name {name!r} cannot be a folder name; use letters and digits")
+        raise ConfigError(f"`{name=}` cannot be a folder name; use letters and digits")
     if name in run.cameras and run.cameras[name].virtual is None:
-        raise ConfigError(f"--name {name}: the run has a camera of this name; choose another name")
+        raise ConfigError(f"`{name=}`: the run has a camera of this name; choose another name")
 
 
 def parse_size(text: str | None) -> tuple[int, int] | None:
@@ -147,18 +147,18 @@ def parse_pose(text: str) -> NDArray[np.float64]:
     turned = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
     if not np.isfinite(values).all() or not turned or np.linalg.det(rotation) < 0:
         raise CalibrationError(
-            f"--pose {text!r}: write x,y,z or x,y,z,qx,qy,qz,qw or a file with a 4x4 matrix; it is "
+            f"`pose={text!r}`: write x,y,z or x,y,z,qx,qy,qz,qw or a file with a 4x4 matrix; it is "
             "the pose of the camera in the LiDAR frame and must be rigid"
         )
     u, _, vt = np.linalg.svd(rotation)
     return poses_from([u @ vt], position[None])[0]
 
 
-def _numbers(option: str, text: str, count: int, pattern: str) -> list[float]:
+def _numbers(argument: str, text: str, count: int, pattern: str) -> list[float]:
     try:
         values = [float(word) for word in text.split(",")]
     except ValueError:
         values = []
     if len(values) != count:
-        raise ConfigError(f"{option} {text!r}: write {pattern}")
+        raise ConfigError(f"`{argument}={text!r}`: write {pattern}")
     return values

@@ -11,13 +11,8 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.classify import run_classify
 from docdepth.pipeline.odometry import run_odometry
 from docdepth.pipeline.render import run_render
-from docdepth.pipeline.run_inputs import (
-    known_poses,
-    open_recording,
-    recording_of,
-    register,
-    run_cameras,
-)
+from docdepth.pipeline.run_cameras import add_cameras, run_cameras
+from docdepth.pipeline.run_inputs import known_poses, open_recording, recording_of
 from docdepth.tuning.judge import Judge
 
 _NOT_SHARED = ("run.yaml", "lock", "records", "odometry", "map")
@@ -59,7 +54,7 @@ def make_trial(
     if judge.by == "depth":
         recording = recording_of(trial)
         if not trial.cameras:
-            register(trial, list(recording.cameras.values()))
+            add_cameras(trial, list(recording.cameras.values()))
         name = trial.camera_in(trial.depth_folder(judge.camera))
         cameras = run_cameras(trial, recording, [name])
         run_render(trial, [camera.stream for camera in cameras], threads)
