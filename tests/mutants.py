@@ -21,10 +21,10 @@ SOURCES = "cpp/docdepth", "python/docdepth"
 FAULTS = {
     "tests/dynamics/test_tracking.py tests/dynamics/test_track_paths.py": [
         # matching and tracks
-        "match.shift, found) {{< ~ >}} kMinKeptShare",
-        "if (share {{< ~ >}} kMinMatchedShare)",
+        "match.shift, found) {{< ~ >}} options_.min_kept_share",
+        "if (share {{< ~ >}} options_.min_share)",
         "{{< ~ >}}= kGate * kGate",
-        "- end.time) {{> ~ <}} gap + kTimeTolerance",
+        "- state.time) {{> ~ <}} gap + kTimeTolerance",
         "place.where.width() {{> ~ <}}= kMinEgoPath",
         "object.area {{> ~ <}} kFragmentShare",
         # paths
@@ -61,7 +61,7 @@ FAULTS = {
         "squared {{> ~ <}} _LOST**2 and off",
     ],
     "tests/pipeline/test_pipeline.py": ["bisect_right(self._first, index){{ - 1 ~ }}"],
-    "tests/pipeline/test_repair.py": ["made_of.get(stage, value) {{!= ~ ==}} value"],
+    "tests/pipeline/test_stage.py": ["recorded.get(stage, key) {{!= ~ ==}} key"],
     "tests/geometry": [
         "right_handed = {{ ~ -}}np.linalg.det",
         "arc[i] - arc[kept[-1]] {{>= ~ <}} spacing",

@@ -155,4 +155,4 @@ def test_the_formula_tells_what_a_run_takes(drive_0005: Path, tmp_path: Path) ->
     recording = open_dataset(drive_0005)
     points = len(recording.sweep(0).points)
     cameras = [recording.cameras["image_02"]]
-    assert taken == pytest.approx(memory_of_run(points, sweeps, cameras, parameters()), rel=0.2)
+    assert taken == pytest.approx(memory_of_run(points, sweeps, cameras, parameters()), rel=0.3)

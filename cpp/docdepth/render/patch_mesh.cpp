@@ -11,7 +11,7 @@ namespace docdepth {
 namespace {
 
 using Vector = Eigen::Vector3f;
-using Triangle = std::array<std::uint32_t, 3>;
+using TriangleIndices = std::array<std::uint32_t, 3>;
 
 constexpr std::uint32_t kColumns = 64, kRows = 128;  // of cells of direction
 constexpr std::uint32_t kPadding = 16;               // see x()
@@ -45,7 +45,7 @@ struct Order {
 };
 
 Order by_direction(const std::vector<std::uint16_t>& cells,
-                   const std::vector<Triangle>& triangles) {
+                   const std::vector<TriangleIndices>& triangles) {
   Order order{std::vector<std::uint32_t>(triangles.size()), {}};
   if (triangles.size() <= PatchMesh::kTriangles) {
     std::iota(order.triangles.begin(), order.triangles.end(), 0);
@@ -53,7 +53,7 @@ Order by_direction(const std::vector<std::uint16_t>& cells,
     return order;
   }
   std::vector<std::uint32_t> start(kColumns * kRows + 1, 0);
-  for (const Triangle& corners : triangles) ++start[cells[corners[0]] + 1];
+  for (const TriangleIndices& corners : triangles) ++start[cells[corners[0]] + 1];
   for (std::size_t c = 1; c < start.size(); ++c) start[c] += start[c - 1];
   for (std::uint32_t c = 1; c <= kColumns; ++c) order.column_ends.push_back(start[c * kRows]);
   for (std::uint32_t t = 0; t < triangles.size(); ++t)
@@ -74,13 +74,14 @@ MeshVertices::MeshVertices(const std::vector<Vector>& vertices,
                       cells_.data());
 }
 
-PatchMesh::PatchMesh(const std::vector<Vector>& vertices, const std::vector<Triangle>& triangles,
+PatchMesh::PatchMesh(const std::vector<Vector>& vertices,
+                     const std::vector<TriangleIndices>& triangles,
                      const std::vector<std::uint8_t>& classes) {
   MeshVertices all(vertices, classes);
   *this = PatchMesh(all, triangles);
 }
 
-PatchMesh::PatchMesh(MeshVertices& vertices, const std::vector<Triangle>& triangles) {
+PatchMesh::PatchMesh(MeshVertices& vertices, const std::vector<TriangleIndices>& triangles) {
   id_ = new_identity();
   const Order order = by_direction(vertices.cells_, triangles);
   corners_.resize(triangles.size());

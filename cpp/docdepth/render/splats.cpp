@@ -117,7 +117,7 @@ struct Projection {
 };
 
 /// The points of a block in the image.
-struct Projected {
+struct ProjectedSplat {
   std::int32_t pixel[Cloud::kBlock];  // negative outside
   float depth[Cloud::kBlock], squared[Cloud::kBlock];
 };
@@ -126,7 +126,7 @@ struct Projected {
 struct ProjectBlock {
   DOCDEPTH_KERNEL static void run(const Cloud& cloud, const Cloud::Block& block,
                                   const RigidTransform& T, const Projection& camera,
-                                  Projected& out) {
+                                  ProjectedSplat& out) {
     const auto& r = T.r;
     for (std::uint32_t i = 0; i < block.end - block.begin; i += kLanes) {
       Floats a, b, c;
@@ -184,7 +184,7 @@ void draw_pixels(const Camera& camera, const std::vector<PlacedCloud>& clouds, P
                               float(camera.cy),      float(camera.width), float(camera.height),
                               images.tiles() * kTile};
   parallel_for(blocks.size(), 64, threads, [&](std::size_t begin, std::size_t end) {
-    Projected points;
+    ProjectedSplat points;
     for (std::size_t b = begin; b < end; ++b) {
       const std::uint32_t c = blocks[b].cloud;
       const Cloud& cloud = *clouds[c].cloud;

@@ -1,0 +1,116 @@
+#include <doctest/doctest.h>
+
+#include "../objects.hpp"
+#include "docdepth/evidence/track_evidence.hpp"
+
+using namespace docdepth;
+using exact::pose_at;
+
+namespace {
+
+constexpr std::size_t kSweeps = 60;
+
+/// A car that stands at x = 0 for 2 s, goes to x = 10 within a second, and stands there. While it
+/// goes its place is free before and after; of the places where it stands the votes tell `free`.
+double place(double t) {
+  const double s = std::clamp(t - 2, 0.0, 1.0);
+  return s < 0.5 ? 20 * s * s : 10 - 20 * (1 - s) * (1 - s);
+}
+
+ObjectTrack car(float free) {
+  Track track;
+  Path path;
+  path.rigid = true;
+  path.extent = {{-2.2f, -0.9f, 0.2f}, {2.2f, 0.9f, 1.6f}};
+  for (std::size_t k = 0; k < kSweeps; ++k) {
+    const double t = 0.1 * double(k);
+    const bool moves = t > 2 && t < 3;
+    TrackObservation seen;
+    seen.sweep = k;
+    seen.area = 10'000;
+    seen.free_area = seen.transient_area = moves ? 10'000 : free * 10'000;
+    seen.points = 100;
+    seen.is_transient = moves;
+    seen.box = path.extent.moved({float(place(t)), 0, 0});
+    track.transient_count += moves;
+    track.observations.push_back(seen);
+    const double speed = moves ? (place(t + 0.01) - place(t - 0.01)) / 0.02 : 0;
+    path.states.push_back({.time = t,
+                           .position = {place(t), 0, 0},
+                           .velocity = {speed, 0, 0},
+                           .is_transient = moves});
+    path.extents.push_back(path.extent);
+  }
+  return {track, TrackPath(path, {})};
+}
+
+TrackEvidence evidence(float free = 0.3f) {
+  return {car(free), 1, exact::stamps(kSweeps), {}};
+}
+
+/// What a sweep shows at a place: occupied from one sweep to another, by the votes.
+Detection seen_at(double x, double y, float free, int first = 0, int last = int(kSweeps)) {
+  Detection object = exact::detection(exact::box(pose_at(x, y)), free);
+  object.first_occupied = object.stands_since = first;
+  object.last_occupied = object.stands_until = last;
+  return object;
+}
+
+bool makes_dynamic(TrackEvidence of, double time, const Detection& object, bool is_member = true) {
+  const std::vector<TrackedSweep> tracked(kSweeps + 1);
+  return of.makes_dynamic(time, object, is_member, tracked);
+}
+
+}  // namespace
+
+TEST_CASE("a car that moves at some time is known before and after, where it stands") {
+  TrackEvidence of = evidence();
+  CHECK(of.stands_before());
+  CHECK(of.stands_after());
+  CHECK(of.covers(-100));
+  CHECK(of.covers(100));
+  CHECK(of.number() == 1);
+}
+
+TEST_CASE("what was followed is dynamic where its place was free while the car was elsewhere") {
+  CHECK(makes_dynamic(evidence(), 2.5, seen_at(place(2.5), 0, 1)));
+  // It stands at its first place: occupied from the beginning, until it drives off.
+  CHECK(makes_dynamic(evidence(), 1, seen_at(0, 0, 0.3f, 0, 21)));
+  // Behind the place where the car stands at last something stands all the time.
+  CHECK(!makes_dynamic(evidence(), 2.5, seen_at(place(2.5), 0, 0.3f, 0, int(kSweeps)), false));
+}
+
+TEST_CASE("what a track was not followed through must lie in its box, and have been free") {
+  CHECK(makes_dynamic(evidence(), 1, seen_at(0, 0, 0.3f, 0, 21), false));
+  CHECK(!makes_dynamic(evidence(), 1, seen_at(0, 3, 0.3f, 0, 21), false));    // beside it
+  CHECK(!makes_dynamic(evidence(), 1, seen_at(10, 0, 0.3f, 30, 60), false));  // where it goes later
+  CHECK(makes_dynamic(evidence(), 5, seen_at(10, 0, 0.3f, 28, 60), false));
+  CHECK(!makes_dynamic(evidence(), 5, seen_at(0, 0, 0.3f, 0, 60), false));  // where it was before
+}
+
+TEST_CASE("poles, and what is dynamic already, are left as they are") {
+  Detection pole = seen_at(place(2.5), 0, 1);
+  pole.box = {{0, 0, 0}, {0.2f, 0.2f, 2}};
+  CHECK(!makes_dynamic(evidence(), 2.5, pole));
+  Detection known = seen_at(place(2.5), 0, 1);
+  known.dynamic_points = known.points;
+  CHECK(!makes_dynamic(evidence(), 2.5, known));
+}
+
+TEST_CASE("a track makes no more dynamic than was ever seen of it") {
+  // In all sweeps together 9 x 10,000 and little more, an eighth of that.
+  Detection large = seen_at(place(2.5), 0, 1);
+  large.area = large.free_area = 9'500;
+  CHECK(makes_dynamic(evidence(0), 2.5, large));
+  large.area = large.free_area = 12'000;
+  CHECK(!makes_dynamic(evidence(0), 2.5, large));
+}
+
+TEST_CASE("a parked car beside the one that arrives is apart from it") {
+  const TrackEvidence of = evidence();
+  const Detection best = seen_at(10, 0, 0.6f);
+  CHECK(of.are_apart(4, seen_at(10, 2.4, 0), best));
+  CHECK(!of.are_apart(4, seen_at(10, 1.0, 0), best));     // together as wide as one
+  CHECK(!of.are_apart(4, seen_at(10, 2.4, 0.5f), best));  // as free
+  CHECK(!of.are_apart(4, seen_at(15, 0, 0), best));       // behind it
+}
