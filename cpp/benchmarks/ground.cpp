@@ -119,7 +119,10 @@ class PlainGround {
     std::vector<std::size_t> front;
     std::size_t count = 0;
     const auto reach = [&](std::size_t i) {
-      if (!ground_[i]) front.push_back(i), ++count;
+      if (!ground_[i]) {
+        front.push_back(i);
+        ++count;
+      }
       ground_[i] = true;
     };
     for (const Vector3d& position : positions_) reach(seed(position));

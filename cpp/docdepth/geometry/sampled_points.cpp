@@ -188,7 +188,10 @@ Vector most_frequent_shift(const TimedPoints& a, const TimedPoints& b, float dt,
       int sum = 0;
       for (int du = -1; du <= 1; ++du)
         for (int dv = -1; dv <= 1; ++dv) sum += counts[(u + du) * side + v + dv];
-      if (sum > most) most = sum, best = u * side + v;
+      if (sum > most) {
+        most = sum;
+        best = u * side + v;
+      }
     }
   return {float(best / side - side / 2) * kShiftBin, float(best % side - side / 2) * kShiftBin,
           rise};

@@ -63,7 +63,8 @@ struct TimedPoints {
   std::vector<float> times;
 
   void add(const Eigen::Vector3f& point, float time) {
-    points.push_back(point), times.push_back(time);
+    points.push_back(point);
+    times.push_back(time);
   }
 };
 
@@ -75,7 +76,9 @@ struct TimedSurface : SampledSurface {
   std::vector<float> times;
 
   void add(const Eigen::Vector3f& point, const Eigen::Vector3f& normal, float time) {
-    points.push_back(point), normals.push_back(normal), times.push_back(time);
+    points.push_back(point);
+    normals.push_back(normal);
+    times.push_back(time);
   }
 };
 

@@ -158,8 +158,10 @@ void Triangulator::lay_out(const std::vector<Direction>& directions,
   std::int32_t low = kTurn, high = -kTurn, left = kTurn, right = -kTurn;
   for (const auto n : numbers) {
     const auto [x, y] = directions[n];
-    low = std::min(low, y), high = std::max(high, y);
-    left = std::min(left, x), right = std::max(right, x);
+    low = std::min(low, y);
+    high = std::max(high, y);
+    left = std::min(left, x);
+    right = std::max(right, x);
     sorted.push_back({x, y, n});
     if (x < -kTurn / 2 + kSeamOverlap) sorted.push_back({x + kTurn, y, n});
     if (x >= kTurn / 2 - kSeamOverlap) sorted.push_back({x - kTurn, y, n});

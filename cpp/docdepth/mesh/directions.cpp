@@ -14,7 +14,8 @@ struct FindDirections {
       const float squared = (x * x + y * y) + z * z;
       const bool usable = squared > 0.0f && squared < kMaxRange * kMaxRange;  // false for NaN
       const Direction d = direction_of(usable ? x : 0.0f, usable ? y : 0.0f, usable ? z : 0.0f);
-      directions[i].azimuth = d.azimuth, directions[i].elevation = d.elevation;
+      directions[i].azimuth = d.azimuth;
+      directions[i].elevation = d.elevation;
     }
   }
 };

@@ -53,10 +53,15 @@ struct Corners {
   float x[kLanes] = {}, y[kLanes] = {}, z[kLanes] = {}, range[kLanes] = {};
 
   DOCDEPTH_KERNEL void set(std::size_t lane, const Ray& ray) {
-    x[lane] = ray.x, y[lane] = ray.y, z[lane] = ray.z, range[lane] = ray.range;
+    x[lane] = ray.x;
+    y[lane] = ray.y;
+    z[lane] = ray.z;
+    range[lane] = ray.range;
   }
   DOCDEPTH_KERNEL void set(std::size_t lane, const float* point) {
-    x[lane] = point[0], y[lane] = point[1], z[lane] = point[2];
+    x[lane] = point[0];
+    y[lane] = point[1];
+    z[lane] = point[2];
   }
   DOCDEPTH_KERNEL Vectors vectors() const { return {load(x), load(y), load(z)}; }
 };
@@ -96,7 +101,9 @@ struct FindShapes {
       Corners a, b, c;
       for (std::size_t lane = 0; lane < some; ++lane) {
         const auto& [i, j, k] = triangles[first + lane];
-        a.set(lane, rays[i]), b.set(lane, rays[j]), c.set(lane, rays[k]);
+        a.set(lane, rays[i]);
+        b.set(lane, rays[j]);
+        c.set(lane, rays[k]);
       }
       const float noise = parameters.noise;
       const Side ab(a, b, noise), bc(b, c, noise), ca(c, a, noise);
@@ -139,8 +146,10 @@ struct TestFolds {
       Corners a, b, c, d;
       for (std::size_t lane = 0; lane < some; ++lane) {
         const Fold& fold = folds[first + lane];
-        a.set(lane, points + stride * fold.a), b.set(lane, points + stride * fold.b);
-        c.set(lane, points + stride * fold.c), d.set(lane, points + stride * fold.d);
+        a.set(lane, points + stride * fold.a);
+        b.set(lane, points + stride * fold.b);
+        c.set(lane, points + stride * fold.c);
+        d.set(lane, points + stride * fold.d);
       }
       const Ints flat = is_one_plane(a.vectors(), b.vectors(), c.vectors(), d.vectors(), tolerance);
       for (std::size_t lane = 0; lane < some; ++lane) is_flat[first + lane] = flat[lane] != 0;
@@ -170,7 +179,8 @@ class Folds {
                         static_cast<std::size_t>(points.outerStride()), tolerance, is_flat.data());
     for (std::size_t k = 0; k < folds_.size(); ++k)
       if (is_flat[k]) marks[triangles_[k]] = 0;
-    folds_.clear(), triangles_.clear();
+    folds_.clear();
+    triangles_.clear();
   }
 
  private:

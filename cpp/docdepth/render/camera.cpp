@@ -29,8 +29,10 @@ PixelBounds bounds_of(const Camera& camera, const Pose& T_camera_box, const Box&
     if (!(seen.z() > kNear)) return image;
     const double u = camera.fx * seen.x() / seen.z() + camera.cx;
     const double v = camera.fy * seen.y() / seen.z() + camera.cy;
-    low_u = std::min(low_u, u), high_u = std::max(high_u, u);
-    low_v = std::min(low_v, v), high_v = std::max(high_v, v);
+    low_u = std::min(low_u, u);
+    high_u = std::max(high_u, u);
+    low_v = std::min(low_v, v);
+    high_v = std::max(high_v, v);
   }
   // A pixel more on each side, since triangles are drawn with slack.
   const auto pixel = [](double at, int most) { return int(std::clamp(at, -1.0, most + 1.0)); };

@@ -53,7 +53,9 @@ Cloud::Cloud(const Points& points, const std::vector<std::uint8_t>& keep,
   for (Eigen::Index i = 0; i < points.rows(); ++i) {
     if (!keep[i]) continue;
     const std::uint32_t at = start[cells[i]]++;
-    x_[at] = points(i, 0), y_[at] = points(i, 1), z_[at] = points(i, 2);
+    x_[at] = points(i, 0);
+    y_[at] = points(i, 1);
+    z_[at] = points(i, 2);
     classes_[at] = classid ? class_of(classid[i]) : std::uint8_t{kGround};
   }
 
@@ -68,7 +70,8 @@ Cloud::Cloud(const Points& points, const std::vector<std::uint8_t>& keep,
         block_high = block_high.cwiseMax(Eigen::Vector3f(x_[i], y_[i], z_[i]));
       }
       blocks_.push_back({box_around(block_low, block_high), begin, end});
-      low = low.cwiseMin(block_low), high = high.cwiseMax(block_high);
+      low = low.cwiseMin(block_low);
+      high = high.cwiseMax(block_high);
       begin = end;
     }
   }

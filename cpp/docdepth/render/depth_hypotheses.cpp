@@ -150,14 +150,17 @@ class VisibilityQueries {
     for (std::size_t j = 0; j < rays_.size() && seen.size > 0; ++j) {
       for (std::size_t n = 0; n < seen.size; ++n) {
         const Eigen::Vector3f p = to_rays_[j] * targets[open[n]];
-        seen.x[n] = p.x(), seen.y[n] = p.y(), seen.z[n] = p.z();
+        seen.x[n] = p.x();
+        seen.y[n] = p.y();
+        seen.z[n] = p.z();
       }
       rays_[j].rays->query_visibility(seen, rays_[j].blur, scores);
       std::size_t left = 0;
       for (std::size_t n = 0; n < seen.size; ++n) {
         result[open[n]] = scores[n];
         if (scores[n] >= kSureSurfaceScore || scores[n] <= -free) continue;
-        open[left] = open[n], scores[left++] = scores[n];
+        open[left] = open[n];
+        scores[left++] = scores[n];
       }
       seen.size = left;
     }
@@ -295,8 +298,10 @@ std::vector<float> DepthHypotheses::resolve(const Camera& camera,
     for (std::size_t i = 0; i < pixels.size(); ++i) {
       const PixelHypotheses pixel = pixels[i];
       const std::size_t at = columns_.at(pixel.u, pixel.v);
-      if (found[i] > 0 || (found[i] == 0 && result[at] == 0))
-        result[at] = pixel.hypotheses[k], scores[at] = found[i];
+      if (found[i] > 0 || (found[i] == 0 && result[at] == 0)) {
+        result[at] = pixel.hypotheses[k];
+        scores[at] = found[i];
+      }
       if (!(found[i] > 0) && k + 1 < kMost && pixel.hypotheses[k + 1] > 0) pixels[left++] = pixel;
     }
     pixels.resize(left);
@@ -319,7 +324,10 @@ void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const
       const float trusted = object.trusted[at], other = object.others[at];
       const float beyond = object.continued[at], here = inverse_depth[at];
       if (trusted > 0) {
-        if (trusted > here) inverse_depth[at] = trusted, owners[at] = number;
+        if (trusted > here) {
+          inverse_depth[at] = trusted;
+          owners[at] = number;
+        }
       } else if (other > here)
         seen.push_back({u, v, {other, beyond}});
       else if (beyond > here)
@@ -335,27 +343,32 @@ void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const
   for (std::size_t i = 0; i < seen.size(); ++i) {
     const auto& [u, v, depths] = seen[i];
     const std::size_t at = columns.at(u, v);
-    if (found[i] > -kDoubtedScore)
-      inverse_depth[at] = depths[0], owners[at] = number;
-    else
+    if (found[i] > -kDoubtedScore) {
+      inverse_depth[at] = depths[0];
+      owners[at] = number;
+    } else
       doubted.push_back(behind[i]);
   }
   found = queries.score(doubted, 0, kContradictedScore);
   for (std::size_t i = 0; i < doubted.size(); ++i) {
     const auto& [u, v, depths] = doubted[i];
     const std::size_t at = columns.at(u, v);
-    if (found[i] > -kContradictedScore)
-      inverse_depth[at] = 0, owners[at] = 0;
-    else if (depths[1] > inverse_depth[at])
+    if (found[i] > -kContradictedScore) {
+      inverse_depth[at] = 0;
+      owners[at] = 0;
+    } else if (depths[1] > inverse_depth[at])
       continued.push_back({u, v, {depths[1]}});
   }
   found = queries.score(continued, 0);
   for (std::size_t i = 0; i < continued.size(); ++i) {
     const std::size_t at = columns.at(continued[i].u, continued[i].v);
-    if (found[i] > kContinuedScore)
-      inverse_depth[at] = continued[i].hypotheses[0], owners[at] = number;
-    else if (found[i] > -kUnsureScore)
-      inverse_depth[at] = 0, owners[at] = 0;
+    if (found[i] > kContinuedScore) {
+      inverse_depth[at] = continued[i].hypotheses[0];
+      owners[at] = number;
+    } else if (found[i] > -kUnsureScore) {
+      inverse_depth[at] = 0;
+      owners[at] = 0;
+    }
   }
 }
 

@@ -72,7 +72,8 @@ struct CountMeasurements {
           ++tally.measures;
           if (std::fabs(off) > kAgree) continue;
           ++tally.support;
-          tally.sum += off, tally.squares += off * off;
+          tally.sum += off;
+          tally.squares += off * off;
         }
     }
     for (std::size_t i = 0; i < tallies.size(); ++i)
@@ -105,7 +106,9 @@ void assign_moved_edges(const Camera& camera, const float* depth, const Strip& s
           const float off = std::fabs(depth[std::size_t(row) * camera.width + column] - z) / z;
           if (one.mesh < 0 || (one.difference > kAgree && !none)) continue;
           if (!(off < tally.difference)) continue;
-          tally.difference = off, tally.mesh = one.mesh, tally.triangle = one.triangle;
+          tally.difference = off;
+          tally.mesh = one.mesh;
+          tally.triangle = one.triangle;
         }
     }
 }
@@ -145,7 +148,8 @@ std::uint8_t class_at(const Triangle& triangle, const Vector& place) {
   for (int k = 0; k < 3; ++k) {
     const float distance = (triangle.corner[k] - place).squaredNorm();
     if (triangle.classid[k] == kNoClass || distance >= nearest) continue;
-    nearest = distance, classid = triangle.classid[k];
+    nearest = distance;
+    classid = triangle.classid[k];
   }
   return classid;
 }
@@ -154,10 +158,15 @@ std::uint8_t class_at(const Triangle& triangle, const Vector& place) {
 
 Layers::Layers(const Camera& camera, bool with_normals) {
   const std::size_t pixels = std::size_t(camera.width) * camera.height;
-  sweep.resize(pixels, -1), classid.resize(pixels, kNoClass), measured.resize(pixels, 0);
+  sweep.resize(pixels, -1);
+  classid.resize(pixels, kNoClass);
+  measured.resize(pixels, 0);
   instance.resize(pixels, 0);
-  range.resize(pixels, kNaN), normal.resize(with_normals ? 3 * pixels : 0, kNaN);
-  support.resize(pixels, 0), measures.resize(pixels, 0), deviation.resize(pixels, kNaN);
+  range.resize(pixels, kNaN);
+  normal.resize(with_normals ? 3 * pixels : 0, kNaN);
+  support.resize(pixels, 0);
+  measures.resize(pixels, 0);
+  deviation.resize(pixels, kNaN);
 }
 
 Layers layers_of_triangles(const Camera& camera, const MeshScene& scene, const float* depth,

@@ -22,7 +22,8 @@ struct Around {
     return turn < -kTurn / 2 ? turn + kTurn : turn >= kTurn / 2 ? turn - kTurn : turn;
   }
   void add(const Direction& d, float range) {
-    left = std::min(left, relative(d)), right = std::max(right, relative(d));
+    left = std::min(left, relative(d));
+    right = std::max(right, relative(d));
     low = std::min(low, d.elevation - centre.elevation);
     high = std::max(high, d.elevation - centre.elevation);
     nearest = std::min(nearest, range);
@@ -30,8 +31,10 @@ struct Around {
   void widen() {
     const float angle = std::max(std::atan2(kOutlineReach, nearest), kOutlineAngle);
     const auto units = static_cast<std::int32_t>(angle / kRadiansPerUnit);
-    left = std::max(left - units, -kTurn / 2), right = std::min(right + units, kTurn / 2 - 1);
-    low -= units, high += units;
+    left = std::max(left - units, -kTurn / 2);
+    right = std::min(right + units, kTurn / 2 - 1);
+    low -= units;
+    high += units;
   }
   bool holds(const Direction& d) const {
     const std::int32_t up = d.elevation - centre.elevation;
@@ -48,7 +51,10 @@ std::vector<Around> around_objects(const MeshParts& parts, const std::vector<Dir
   for (Eigen::Index i = 0; i < parts.points.rows(); ++i) {
     const std::size_t owner = parts.owner[i];
     if (!owner) continue;
-    if (!known[owner - 1]) around[owner - 1].centre = directions[i], known[owner - 1] = 1;
+    if (!known[owner - 1]) {
+      around[owner - 1].centre = directions[i];
+      known[owner - 1] = 1;
+    }
     around[owner - 1].add(directions[i], parts.points.row(i).norm());
   }
   for (Around& one : around) one.widen();
@@ -87,7 +93,8 @@ std::vector<Rays> object_rays(const MeshParts& parts, const std::vector<Vector>&
       times.push_back(parts.time_offset ? parts.time_offset[i] : 0.0f);
       if (!parts.time_offset) continue;
       const Vector moved = motion.velocity * (motion.time - parts.time_offset[i]);
-      origins.row(to) += moved.transpose(), ends.row(to) += moved.transpose();
+      origins.row(to) += moved.transpose();
+      ends.row(to) += moved.transpose();
     }
     std::int32_t first = around.centre.azimuth + around.left;
     if (first < -kTurn / 2) first += kTurn;

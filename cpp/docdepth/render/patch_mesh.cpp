@@ -92,7 +92,8 @@ PatchMesh::PatchMesh(MeshVertices& vertices, const std::vector<TriangleIndices>&
   const auto close = [&] {
     if (patches_.empty()) return;
     patches_.back().box = box_around(patch_low, patch_high);
-    low = low.cwiseMin(patch_low), high = high.cwiseMax(patch_high);
+    low = low.cwiseMin(patch_low);
+    high = high.cwiseMax(patch_high);
   };
   std::size_t column = 0;
   bool full = true;
@@ -106,7 +107,8 @@ PatchMesh::PatchMesh(MeshVertices& vertices, const std::vector<TriangleIndices>&
       close();
       patches_.push_back({{}, std::uint32_t(x_.size()), 0, i, 0});
       ++vertices.patches_;
-      patch_low = Vector::Constant(INFINITY), patch_high = -patch_low;
+      patch_low = Vector::Constant(INFINITY);
+      patch_high = -patch_low;
       full = false;
     }
     Patch& patch = patches_.back();
@@ -116,9 +118,12 @@ PatchMesh::PatchMesh(MeshVertices& vertices, const std::vector<TriangleIndices>&
       if (place / kVertices != vertices.patches_) {
         place = vertices.patches_ * kVertices + patch.vertices++;
         const Vector& p = vertices.vertices_[v];
-        x_.push_back(p.x()), y_.push_back(p.y()), z_.push_back(p.z());
+        x_.push_back(p.x());
+        y_.push_back(p.y());
+        z_.push_back(p.z());
         classes_.push_back(vertices.classes_.empty() ? 0 : vertices.classes_[v]);
-        patch_low = patch_low.cwiseMin(p), patch_high = patch_high.cwiseMax(p);
+        patch_low = patch_low.cwiseMin(p);
+        patch_high = patch_high.cwiseMax(p);
       }
       corners_[i][k] = static_cast<std::uint8_t>(place % kVertices);
     }

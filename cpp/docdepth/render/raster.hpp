@@ -99,8 +99,10 @@ DOCDEPTH_KERNEL bool project_patch(const PatchMesh& mesh, const PatchMesh::Patch
     std::memcpy(out.outside + i, &outside, sizeof outside);
     const Ints part =
         seen & (Ints{0, 1, 2, 3, 4, 5, 6, 7} + std::int32_t(i) < std::int32_t(patch.vertices));
-    low_u = part & (u < low_u) ? u : low_u, high_u = part & (u > high_u) ? u : high_u;
-    low_v = part & (v < low_v) ? v : low_v, high_v = part & (v > high_v) ? v : high_v;
+    low_u = part & (u < low_u) ? u : low_u;
+    high_u = part & (u > high_u) ? u : high_u;
+    low_v = part & (v < low_v) ? v : low_v;
+    high_v = part & (v > high_v) ? v : high_v;
   }
   const auto least = [](const Floats& lanes) {
     float low = lanes[0];

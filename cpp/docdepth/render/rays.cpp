@@ -94,8 +94,10 @@ DOCDEPTH_KERNEL void find_nearest(const Rays::Cells& cells, const Toward& toward
   float to[4][kLanes];
   for (int lane = 0; lane < kLanes; ++lane) {  // unused lanes repeat the last point
     const std::size_t i = group.points[std::min(lane, group.size - 1)];
-    to[0][lane] = toward.azimuth[i], to[1][lane] = toward.elevation[i];
-    to[2][lane] = toward.cosine[i], to[3][lane] = 1.0f / toward.range[i];
+    to[0][lane] = toward.azimuth[i];
+    to[1][lane] = toward.elevation[i];
+    to[2][lane] = toward.cosine[i];
+    to[3][lane] = 1.0f / toward.range[i];
   }
   const Floats azimuth = load(to[0]), elevation = load(to[1]);
   const Floats cosine = load(to[2]), inverse_range = load(to[3]);
@@ -137,7 +139,8 @@ DOCDEPTH_KERNEL void add_scores(const Rays::Cells& cells, const PointBatch& poin
     float end[4][kLanes];
     for (std::size_t lane = 0; lane < kLanes; ++lane) {
       const Rays::End& ray_end = cells.ends[nearest.number[first + std::min(lane, some - 1)]];
-      end[0][lane] = ray_end.plane.x(), end[1][lane] = ray_end.plane.y(),
+      end[0][lane] = ray_end.plane.x();
+      end[1][lane] = ray_end.plane.y();
       end[2][lane] = ray_end.plane.z();
       end[3][lane] = ray_end.range;
     }
@@ -222,7 +225,8 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Point
   int low = kTurn, high = -kTurn;
   for (Eigen::Index i = 0; i < points.rows(); ++i) {
     if (!usable(points, i)) continue;
-    low = std::min(low, directions[i].elevation), high = std::max(high, directions[i].elevation);
+    low = std::min(low, directions[i].elevation);
+    high = std::max(high, directions[i].elevation);
     rows.push_back(static_cast<std::uint32_t>(i));
   }
   if (rows.empty()) return;
@@ -250,7 +254,8 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Point
   for (std::size_t to = 0; to < order.size(); ++to) {
     const std::uint32_t i = order[to];
     const UnsortedRay& ray = rays[i];
-    cells_.left[to] = ray.left, cells_.up[to] = ray.up;
+    cells_.left[to] = ray.left;
+    cells_.up[to] = ray.up;
     cells_.azimuth[to] = float(directions[i].azimuth);
     cells_.elevation[to] = float(directions[i].elevation);
     cells_.ends[to] = {{ray.plane[0], ray.plane[1], ray.plane[2]}, ray.range};
@@ -275,7 +280,8 @@ void Rays::make_cells(const std::vector<std::uint32_t>& rows, int low, int high,
   cells_.start.assign(std::size_t(cells_.used) * cells_.rows + 1, 0);
   for (auto* column : {&cells_.azimuth, &cells_.elevation, &cells_.left, &cells_.up})
     column->resize(rows.size() + kLanes);
-  cells_.ends.resize(rows.size()), cells_.time.resize(rows.size());
+  cells_.ends.resize(rows.size());
+  cells_.time.resize(rows.size());
   cells_.moving.resize(rows.size());
 }
 

@@ -97,7 +97,8 @@ class ShutterRays::Sweep {
     Target to{p, 0, 0, std::sqrt(across * across + p.z() * p.z()), 1, kind, number};
     if (!to.in_range()) return to;
     const Direction direction = direction_of(p.x(), p.y(), p.z());
-    to.azimuth = float(direction.azimuth), to.elevation = float(direction.elevation);
+    to.azimuth = float(direction.azimuth);
+    to.elevation = float(direction.elevation);
     to.cosine = std::max(across / to.range, kLeastCosine);
     return to;
   }

@@ -26,7 +26,8 @@ DOCDEPTH_KERNEL void draw_dynamic_objects(const Camera& camera,
     ++number;
     PixelBounds bounds = object.bounds.intersect(own);
     if (bounds.empty()) continue;
-    bounds.begin_u -= strip.begin, bounds.end_u -= strip.begin;
+    bounds.begin_u -= strip.begin;
+    bounds.end_u -= strip.begin;
     bool seen = false;  // as long as it is false all images are empty
     for (const auto& [meshes, image] :
          {std::pair(&object.trusted, &images.trusted), std::pair(&object.others, &images.others),

@@ -123,8 +123,12 @@ struct Tally {
   void note(std::size_t begin, std::size_t end, std::uint16_t key_frame) {
     for (std::size_t i = begin; i < end; ++i) {
       const bool occupied = statics[i] != seen_statics[i], free = dynamics[i] != seen_dynamics[i];
-      seen_statics[i] = statics[i], seen_dynamics[i] = dynamics[i];
-      if (occupied) stays[i] = after_occupied(stays[i]), last[i] = key_frame;
+      seen_statics[i] = statics[i];
+      seen_dynamics[i] = dynamics[i];
+      if (occupied) {
+        stays[i] = after_occupied(stays[i]);
+        last[i] = key_frame;
+      }
       if (occupied && first[i] == Votes::kNever) first[i] = key_frame;
       if (free) stays[i] = after_free(stays[i]);
     }

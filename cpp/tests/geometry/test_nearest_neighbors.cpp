@@ -38,7 +38,10 @@ TEST_CASE("nearest neighbours are those of a plain search, of equals the first")
       for (int j = 0; j < points.rows(); ++j) {
         const float x = queries(i, 0) - points(j, 0), y = queries(i, 1) - points(j, 1),
                     z = queries(i, 2) - points(j, 2), squared = (x * x + y * y) + z * z;
-        if (squared < least) least = squared, nearest = static_cast<std::uint32_t>(j);
+        if (squared < least) {
+          least = squared;
+          nearest = static_cast<std::uint32_t>(j);
+        }
       }
       REQUIRE(one.index[i] == nearest);
       REQUIRE(one.distance[i] == std::sqrt(least));

@@ -28,7 +28,8 @@ Detection detection(SampledPoints samples, std::uint32_t points, float free, int
   object.points = points;
   object.area = 100.0f * float(points);
   object.free_area = free * object.area;
-  object.first_occupied = first, object.last_occupied = last;
+  object.first_occupied = first;
+  object.last_occupied = last;
   object.surface.points = std::move(samples);
   return object;
 }

@@ -83,7 +83,8 @@ void GlRenderer::begin(const Gl& gl, const Camera& camera, unsigned program, uns
                     std::to_string(camera.width) + " x " + std::to_string(camera.height) +
                     " pixels");
     gl->Viewport(0, 0, camera.width, camera.height);
-    width_ = camera.width, height_ = camera.height;
+    width_ = camera.width;
+    height_ = camera.height;
   }
   gl->BlendEquation(keeps);
   const float clear[4] = {none, none, none, none};
