@@ -12,6 +12,12 @@
 namespace docdepth {
 namespace {
 
+/// Points in a leaf of the tree: fewer make the tree deeper, more are compared in vain.
+constexpr std::size_t kTreeLeafSize = 16;
+/// Branches whose bound exceeds the least squared distance by less are searched, too.
+constexpr float kBoundMargin = 1.00001f;
+/// Queries that a thread takes at once.
+constexpr std::size_t kQueryBlock = 1024;
 /// Lets nanoflann read points where they are.
 struct PointsAdaptor {
   const Points& points;

@@ -9,6 +9,19 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
+/// Farther voxels share one index: beyond it integers would overflow.
+constexpr std::int64_t kMaxVoxel = std::int64_t{1} << 40;
+/// Edge of a bin of the histogram of shifts [m].
+constexpr float kShiftBin = 0.2f;
+/// Larger shifts are not looked for [m]: after a pause of the recording the histogram would fill
+/// the memory.
+constexpr float kMaxShift = 400.0f;
+/// Samples whose heights differ more, after the object rose with the ground, are not the same
+/// place [m].
+constexpr float kMaxHeightDifference = 0.2f;
+/// Search radii of the steps that refine a shift [m], from the error of a bin to kMatchDistance.
+constexpr float kRefineRadii[] = {0.6f, 0.4f, 0.3f, 0.3f, 0.3f};
+
 /// Numbers keys in the order in which they come. Far faster here than std::unordered_map.
 class KeyNumbers {
  public:

@@ -12,7 +12,6 @@
 #include <vector>
 
 #include "docdepth/geometry/parallel.hpp"
-#include "docdepth/ground/constants.hpp"
 #include "docdepth/ground/neighborhood.hpp"
 #include "docdepth/ground/normal.hpp"
 #include "docdepth/ground/octree.hpp"
@@ -22,6 +21,17 @@ namespace docdepth {
 namespace {
 
 using Eigen::Vector3d;
+
+/// The search radius of seeds is not doubled beyond this [m], unless no point is nearer.
+constexpr double kMaxSeedRadius = 16.0;
+/// Behind a step, ground is sought in cells of this edge on the plan [m].
+constexpr double kStepCell = 1.0;
+/// A thread takes at most so many leaves of the front at once.
+constexpr std::size_t kLeavesAtOnce = 8;
+/// Reach of the first search for neighbours, in distances expected for evenly spread points.
+constexpr double kFirstReach = 0.7;
+/// After a search that was too short, reach farther than needed by this factor, for other points.
+constexpr double kReachMargin = 1.2;
 
 /// The front: the points that it has reached, which of them have passed it on, and the leaves that
 /// hold the others. What it reaches in the end does not depend on the order, so threads take leaves

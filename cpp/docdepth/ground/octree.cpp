@@ -2,11 +2,11 @@
 
 #include <algorithm>
 
-#include "docdepth/ground/constants.hpp"
-
 namespace docdepth {
 namespace {
 
+/// Larger nodes of the octree are split [points].
+constexpr std::uint32_t kLeafSize = 32;
 constexpr int kLevels = 19;  // bits of a block's coordinate
 
 /// Every third bit of a block's coordinate.

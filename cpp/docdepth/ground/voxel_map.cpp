@@ -5,11 +5,14 @@
 
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/geometry/simd.hpp"
-#include "docdepth/ground/constants.hpp"
 
 namespace docdepth {
 namespace {
 
+/// Voxels on either side of the origin of a map: 2^20, which is 31 km at 3 cm.
+constexpr std::int64_t kMapReach = std::int64_t{1} << 20;
+/// Points whose hash slots are fetched ahead of use.
+constexpr std::size_t kPrefetchAhead = 8;
 constexpr double kLast = kMapReach - 0x1p-33;  // the last number below kMapReach
 constexpr const char* kTooFar = "a point is not finite or too far from the first pose";
 

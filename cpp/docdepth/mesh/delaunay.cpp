@@ -12,6 +12,15 @@
 namespace docdepth {
 namespace {
 
+/// The cylinder of directions is unrolled onto a plane. Returns this near to the seam behind the
+/// sensor are repeated beyond the other end [units].
+constexpr std::int32_t kSeamOverlap = kTurn / 24;
+/// Guard vertices stand this far out [units], one degree beyond the repeated returns.
+constexpr std::int32_t kGuardAzimuth = kTurn / 2 + kSeamOverlap + kTurn / 360;
+/// Strips of returns are this many times as high as evenly spread returns would be apart: about a
+/// ring or two. Measured on HDL-64: half of it makes six times the flips, twice of it half as many
+/// more.
+constexpr double kStripHeight = 2.0;
 struct Vertex {
   std::int32_t x, y;
   std::uint32_t number;  // row of the return; guards continue the numbering

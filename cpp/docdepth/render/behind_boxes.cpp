@@ -13,6 +13,14 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
+/// An object may reach this far beyond the box of its track [m]: what was seen of it is not all.
+constexpr float kBoxMargin = 0.05f;
+/// So many pixels to each side share one way through the box, and if they are at the same depth
+/// what rays say of the place behind it: rays are farther apart than pixels.
+constexpr int kWayCell = 2;
+/// The way through the box is looked at in so many places at most.
+constexpr int kMostPlaces = 8;
+
 /// Depths between which a ray of the camera is inside a box; none if `leave` is not more.
 struct Inside {
   float enter, leave;

@@ -13,6 +13,40 @@
 namespace docdepth {
 namespace {
 
+/// Depths that differ by a smaller share are one surface.
+constexpr float kSameDepth = 0.04f;
+/// An edge is a second difference of inverse depth (0 on every plane) above this share of it.
+constexpr float kEdgeBend = 0.05f;
+
+// A ray that passes at distance d scores 1 / (d + blur)^2 [1/m^2], positive where it ended on a
+// surface and negative where it passed through.
+
+/// One ray within a centimetre, or many farther off, prove free space.
+constexpr float kSureScore = 1000.0f;
+/// The same for a surface. It takes more, since a ray may end next to a gap.
+constexpr float kSureSurfaceScore = 1350.0f;
+/// One ray whose distance and blur add up to 10 cm, or many farther off. With a higher score a
+/// surface is continued over an edge.
+constexpr float kCloseScore = 100.0f;
+/// Pixels at edges with a lower score are left empty: no ray within 25 cm, blur included.
+constexpr float kMinEdgeScore = 15.0f;
+/// Rays that pass this far behind a measured surface of an object contradict it [m]. Nearer, a ray
+/// may have passed just above a roof that it saw at a grazing angle.
+constexpr float kWithinObject = 0.15f;
+/// They do with a score below this, without its sign: five rays within a few centimetres, or more
+/// farther off. Then what is behind is seen.
+constexpr float kContradictedScore = 2000.0f;
+/// With a score below this, without its sign, nobody knows: two rays within 2 cm, or more farther
+/// off. Glass returns some rays and lets others pass.
+constexpr float kDoubtedScore = 400.0f;
+/// Where an object is continued beyond its returns, pixels show it with a score above this: one ray
+/// whose distance and blur add up to 14 cm, or more farther off.
+constexpr float kContinuedScore = 50.0f;
+/// They show what is behind only with a score below this, without its sign: a ray that passed
+/// within 2 cm, its blur not included, or some farther off. Nearer to the object its outline may
+/// lie beyond them.
+constexpr float kUnsureScore = 200.0f;
+
 static_assert(kLanes == DepthHypotheses::kTile, "a row of a tile is one vector");
 static_assert(DepthHypotheses::kStrip % DepthHypotheses::kTile == 0, "strips are of whole tiles");
 

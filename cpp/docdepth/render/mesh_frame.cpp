@@ -14,6 +14,9 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
+/// The same for a dynamic object that was moved to the time of the image [m].
+constexpr float kMovedRayBlur = 0.05f;
+
 /// A diamond around a return, across its ray.
 void add_diamond(const Vector& p, float angle, std::vector<Vector>& vertices,
                  Triangles& triangles) {

@@ -11,6 +11,11 @@ namespace {
 using Vector = Eigen::Vector3f;
 using Matrix = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
 
+/// Rays that pass within this distance of an object tell where it ends [m] ...
+constexpr float kOutlineReach = 1.0f;
+/// ... and within this angle [rad], 2.5 degrees: more than the rings of any LiDAR are apart.
+constexpr float kOutlineAngle = 0.044f;
+
 /// Directions around an object: azimuths relative to one of its returns, so that no seam is near.
 struct Around {
   Direction centre{};

@@ -11,6 +11,13 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
+/// Over a discontinuity of its own an object goes on for this share of the way to the next return:
+/// a little past the middle, so that no crack is left.
+constexpr float kInnerShare = 0.6f;
+/// The same beyond its last return, and for the nearer side of static surface. Rays tell where it
+/// ends: almost at the next one if the rays of other sweeps that passed beside it passed there.
+constexpr float kOuterShare = 0.98f;
+
 /// Splits triangles between one corner and the other two.
 class Splitter {
  public:

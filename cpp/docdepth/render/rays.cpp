@@ -12,6 +12,10 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
+/// Edge of a cell of rays, in mean distances between returns. The search reads the nine cells
+/// around a point, which then reach both of two rings ten times farther apart than their returns.
+constexpr double kRayCellSize = 1.6;
+
 bool usable(const Points& points, Eigen::Index i) {
   const float squared = points.row(i).squaredNorm();
   return squared > 0 && squared < kMaxRange * kMaxRange;  // false for NaN

@@ -10,6 +10,11 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
+/// A surface may hide what is drawn within so many mean distances between returns beside it, and at
+/// most so many pixels.
+constexpr float kFrontRays = 2;
+constexpr int kMostFront = 32;
+
 Vector point_at(const Camera& camera, std::size_t pixel, const float* depth) {
   return ray_of(camera, float(pixel % camera.width), float(pixel / camera.width)) * depth[pixel];
 }

@@ -15,6 +15,9 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
+/// An object with fewer samples has no shape that could be matched.
+constexpr std::size_t kMinSamples = 5;
+
 /// What was seen once may be anywhere that max_speed reaches, so it is looked for in so many sweeps
 /// only: with each one there are more places, and parked cars in some of them.
 constexpr std::size_t kMaxSweepsUnknown = 3;

@@ -14,6 +14,8 @@
 namespace docdepth {
 namespace {
 
+/// A plane nearer to the sensor has no usable normal form [m].
+constexpr double kMinPlaneDistance = 0.01;
 // Pixel::bits, from the highest bit: whether its triangle is a discontinuity (1); the nearest and
 // the farthest return of its window (12 and 12, the upper bits of floats after the sign, rounded
 // outwards); whether its triangle is ground (1); distance from its centre to the nearest corner (6,

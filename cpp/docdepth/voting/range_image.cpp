@@ -12,6 +12,8 @@
 namespace docdepth {
 namespace {
 
+/// Tolerances from here on are refused [m].
+constexpr float kMaxTolerance = 1e6f;
 constexpr std::uint32_t kNoReturn = 0xffffffff;
 
 /// The power of two from which on no two floats differ by exactly `value`, since their spacing does

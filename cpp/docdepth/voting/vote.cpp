@@ -11,6 +11,12 @@
 namespace docdepth {
 namespace {
 
+/// Larger ranges are no measurements [m]. Points without a direction are moved there; it is far
+/// from overflow.
+constexpr float kUnmeasured = 1e18f;
+/// Points of a block. Its columns stay in the second level cache while all key frames vote, and it
+/// reads much of each image before it goes to the next one.
+constexpr std::size_t kVoteBlock = 8192;
 /// The points of a block that get votes, one column per coordinate, and their rows in the sweep.
 struct BlockPoints {
   std::vector<float> x, y, z;
