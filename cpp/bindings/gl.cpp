@@ -31,12 +31,12 @@ py::array_t<float> draw_splats(GlRenderer& renderer, const Array<double>& K, int
 py::array_t<float> draw_meshes(GlRenderer& renderer, const Array<double>& K, int width, int height,
                                const std::vector<PlacedFrame>& static_frames,
                                const std::vector<ObjectOf>& objects, int visibility_sweeps,
-                               int /*threads*/, const std::vector<ShutterOf>& shutter_frames,
+                               int /*threads*/, const std::vector<ShutterOf>& shutter_sweeps,
                                const std::vector<BoxOf>& boxes, int nearest_frames) {
   const Camera camera = as_camera(K, width, height);
   const auto frames = as_mesh_frames(static_frames);
   const auto sighted = as_objects(objects);
-  const auto shutter = as_shutter_frames(shutter_frames);
+  const auto shutter = as_shutter_sweeps(shutter_sweeps);
   const auto placed = as_boxes(boxes);
   in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
   in_range(nearest_frames, 1, kMaxRows, "nearest_frames");
@@ -63,7 +63,7 @@ void bind_gl(py::module_& m) {
       .def("render_splats", &draw_splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,
            "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "threads"_a = 0)
       .def("render_meshes", &draw_meshes, "K"_a, "width"_a, "height"_a, "static_frames"_a,
-           "objects"_a, "visibility_sweeps"_a, "threads"_a = 0, "shutter_frames"_a = py::list(),
+           "objects"_a, "visibility_sweeps"_a, "threads"_a = 0, "shutter_sweeps"_a = py::list(),
            "boxes"_a = py::list(), "nearest_frames"_a = 1);
 }
 

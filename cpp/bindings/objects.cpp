@@ -339,7 +339,7 @@ py::tuple object_of(const TrackedObject& object) {
 
 /// Calls `take` with a tuple for each sweep in order: rows of members, rows of boxes, dynamic
 /// voxels. Returns a tuple a track: sweeps, points, poses, velocities, two deviations, size,
-/// whether it is rigid. `read` gives the detections of a sweep, and is asked for each several
+/// whether it is rigid. `read` gives the detections of a sweep, and is cached for each several
 /// times; `buffer_size` sweeps are in memory at once.
 py::list track(const py::function& read, const Array<double>& times, int threads,
                const py::function& take, py::ssize_t buffer_size) {

@@ -89,12 +89,12 @@ std::unique_ptr<MeshFrame> make_mesh_frame(
 py::array_t<float> draw_meshes(const Array<double>& K, int width, int height,
                                const std::vector<PlacedFrame>& static_frames,
                                const std::vector<ObjectOf>& objects, int visibility_sweeps,
-                               int threads, const std::vector<ShutterOf>& shutter_frames,
+                               int threads, const std::vector<ShutterOf>& shutter_sweeps,
                                const std::vector<BoxOf>& boxes, int nearest_frames) {
   const Camera camera = as_camera(K, width, height);
   const auto frames = as_mesh_frames(static_frames);
   const auto sighted = as_objects(objects);
-  const auto shutter = as_shutter_frames(shutter_frames);
+  const auto shutter = as_shutter_sweeps(shutter_sweeps);
   const auto placed = as_boxes(boxes);
   in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
   in_range(nearest_frames, 1, kMaxRows, "nearest_frames");
@@ -182,11 +182,11 @@ py::dict mesh_layers(const Array<double>& K, int width, int height,
                      const std::vector<PlacedFrame>& static_frames,
                      const std::vector<ObjectOf>& objects, int visibility_sweeps,
                      const Array<float>& depth, int threads,
-                     const std::vector<ShutterOf>& shutter_frames, bool seen) {
+                     const std::vector<ShutterOf>& shutter_sweeps, bool seen) {
   const Camera camera = as_camera(K, width, height);
   const auto frames = as_mesh_frames(static_frames);
   const auto sighted = as_objects(objects);
-  const auto shutter = as_shutter_frames(shutter_frames);
+  const auto shutter = as_shutter_sweeps(shutter_sweeps);
   in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
   const float* z = as_depth(depth, width, height);
   std::optional<Layers> layers;
@@ -217,10 +217,10 @@ void bind_render(py::module_& m) {
       .def(py::init(&make_rays), "points"_a, "normals"_a, "ray_origins"_a = py::none())
       .def("query_visibility", &query_visibility, "points"_a);
   m.def("render_meshes", &draw_meshes, "K"_a, "width"_a, "height"_a, "static_frames"_a, "objects"_a,
-        "visibility_sweeps"_a, "threads"_a = 0, "shutter_frames"_a = py::list(),
+        "visibility_sweeps"_a, "threads"_a = 0, "shutter_sweeps"_a = py::list(),
         "boxes"_a = py::list(), "nearest_frames"_a = 1);
   m.def("mesh_layers", &mesh_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a, "objects"_a,
-        "visibility_sweeps"_a, "depth"_a, "threads"_a = 0, "shutter_frames"_a = py::list(),
+        "visibility_sweeps"_a, "depth"_a, "threads"_a = 0, "shutter_sweeps"_a = py::list(),
         "seen"_a = false);
   m.def("splat_layers", &splat_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a,
         "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "depth"_a, "threads"_a = 0);

@@ -81,9 +81,9 @@ inline std::vector<PlacedMeshFrame> as_mesh_frames(const std::vector<PlacedFrame
 /// A whole frame around the image, its pose, and the seconds from its stamp to the image.
 using ShutterOf = std::tuple<const MeshFrame*, Array<double>, double>;
 
-inline std::vector<ShutterFrame> as_shutter_frames(const std::vector<ShutterOf>& frames) {
+inline std::vector<ShutterSweep> as_shutter_sweeps(const std::vector<ShutterOf>& frames) {
   constexpr double kMost = std::numeric_limits<float>::max();
-  std::vector<ShutterFrame> result;
+  std::vector<ShutterSweep> result;
   for (const auto& [frame, pose, age] : frames)
     result.push_back(
         {{&present(frame), as_pose(pose)}, float(in_range(age, -kMost, kMost, "an age"))});
@@ -94,8 +94,8 @@ inline std::vector<ShutterFrame> as_shutter_frames(const std::vector<ShutterOf>&
 using Triple = std::tuple<double, double, double>;
 using BoxOf = std::tuple<Array<double>, Triple, Triple>;
 
-inline std::vector<PlacedBox> as_boxes(const std::vector<BoxOf>& boxes) {
-  std::vector<PlacedBox> result;
+inline std::vector<ObjectBox> as_boxes(const std::vector<BoxOf>& boxes) {
+  std::vector<ObjectBox> result;
   const auto vector = [](const Triple& values, double least, double most, const char* what) {
     const auto& [x, y, z] = values;
     for (const double value : {x, y, z}) in_range(value, least, most, what);
@@ -114,8 +114,8 @@ using SightingOf = std::tuple<const MeshFrame*, int, Array<double>, int>;
 using ObjectOf =
     std::tuple<int, std::vector<SightingOf>, std::vector<SightingOf>, std::vector<SightingOf>>;
 
-inline std::vector<Sighting> as_sightings(const std::vector<SightingOf>& sightings) {
-  std::vector<Sighting> result;
+inline std::vector<ObjectView> as_sightings(const std::vector<SightingOf>& sightings) {
+  std::vector<ObjectView> result;
   for (const auto& [frame, owner, pose, sweep] : sightings) {
     const auto owners = static_cast<double>(present(frame).dynamic_meshes.size());
     in_range(owner, 1, owners, "the number of an object in its frame");
@@ -125,8 +125,8 @@ inline std::vector<Sighting> as_sightings(const std::vector<SightingOf>& sightin
   return result;
 }
 
-inline std::vector<SightedObject> as_objects(const std::vector<ObjectOf>& objects) {
-  std::vector<SightedObject> result;
+inline std::vector<ObjectViews> as_objects(const std::vector<ObjectOf>& objects) {
+  std::vector<ObjectViews> result;
   for (const auto& [instance, around, others, rays] : objects) {
     in_range(instance, 0, 0xFFFF, "an instance");
     result.push_back(

@@ -31,7 +31,7 @@ struct Inside {
 /// A box as the camera sees it.
 class SeenBox {
  public:
-  SeenBox(const Camera& camera, const PlacedBox& box)
+  SeenBox(const Camera& camera, const ObjectBox& box)
       : low_(-box.size.x() / 2 - kBoxMargin, -box.size.y() / 2 - kBoxMargin, 0),
         high_(box.size.x() / 2 + kBoxMargin, box.size.y() / 2 + kBoxMargin,
               box.size.z() + kBoxMargin),
@@ -64,7 +64,7 @@ class SeenBox {
     const int places = std::max(int(std::ceil(apart)), 1);
     for (int k = 0; k < places; ++k) {
       const float depth = enter + (leave - enter) * (float(k) + 0.5f) / float(places);
-      const Corners corners = rays.around({ray * depth, Kind::kStatic, velocity_});
+      const QuadrantRays corners = rays.around({ray * depth, Kind::kStatic, velocity_});
       // Where a ray ended on what stands still, that is there and not the object.
       if (count(corners, {Verdict::kPassed, Verdict::kEnded}) < int(corners.size())) return false;
     }
@@ -79,9 +79,9 @@ class SeenBox {
 };
 
 /// Pixels of a box that show the static world, kWayCell by kWayCell at a time.
-class PixelsOfBox {
+class BoxBackground {
  public:
-  PixelsOfBox(const Camera& camera, const SeenBox& box, const ShutterRays& rays)
+  BoxBackground(const Camera& camera, const SeenBox& box, const ShutterRays& rays)
       : camera_(camera), box_(box), rays_(rays) {}
 
   /// @param is_world  1 for pixels behind a box before this one at which rays ended on the world
@@ -90,7 +90,7 @@ class PixelsOfBox {
     const PixelBounds& bounds = box_.bounds();
     constexpr float kMiddle = float(kWayCell - 1) / 2;
     std::optional<bool> is_empty;  // along the way of the middle
-    Asked asked;
+    CachedAnswer cached;
     for (int v = from_v; v < std::min(from_v + kWayCell, bounds.end_v); ++v)
       for (int u = from_u; u < std::min(from_u + kWayCell, bounds.end_u); ++u) {
         const std::size_t i = std::size_t(v) * camera_.width + u;
@@ -100,24 +100,24 @@ class PixelsOfBox {
         if (!is_empty)
           is_empty = box_.is_empty_along(
               ray_of(camera_, float(from_u) + kMiddle, float(from_v) + kMiddle), rays_);
-        is_world[i] = *is_empty && (is_world[i] || ended(ray, depth[i], asked));
+        is_world[i] = *is_empty && (is_world[i] || ended(ray, depth[i], cached));
         if (!is_world[i]) depth[i] = std::numeric_limits<float>::quiet_NaN();
       }
   }
 
  private:
   /// What the rays said of a pixel. Its neighbours at the same depth are seen by the same rays.
-  struct Asked {
+  struct CachedAnswer {
     float depth = std::numeric_limits<float>::infinity();
     bool ended = false;
   };
 
-  bool ended(const Vector& ray, float depth, Asked& asked) const {
-    if (!(std::fabs(depth - asked.depth) < kSurfaceMargin)) {
-      const Corners corners = rays_.around({ray * depth, Kind::kStatic});
-      asked = {depth, count(corners, {Verdict::kEnded}) >= kMinEnded};
+  bool ended(const Vector& ray, float depth, CachedAnswer& cached) const {
+    if (!(std::fabs(depth - cached.depth) < kSurfaceMargin)) {
+      const QuadrantRays corners = rays_.around({ray * depth, Kind::kStatic});
+      cached = {depth, count(corners, {Verdict::kEnded}) >= kMinEnded};
     }
-    return asked.ended;
+    return cached.ended;
   }
 
   const Camera& camera_;
@@ -127,17 +127,17 @@ class PixelsOfBox {
 
 }  // namespace
 
-void empty_behind_boxes(const Camera& camera, const MeshScene& scene,
-                        const std::vector<std::uint16_t>& owners, std::vector<float>& depth,
-                        int threads) {
+void mask_unobserved_background(const Camera& camera, const MeshScene& scene,
+                                const std::vector<std::uint16_t>& owners, std::vector<float>& depth,
+                                int threads) {
   if (scene.boxes.empty()) return;
   const ShutterRays rays(scene.shutter_rays);
   std::vector<std::uint8_t> is_world(depth.size(), 0);
-  for (const PlacedBox& placed : scene.boxes) {
+  for (const ObjectBox& placed : scene.boxes) {
     const SeenBox box(camera, placed);
     const PixelBounds& bounds = box.bounds();
     if (bounds.empty()) continue;
-    const PixelsOfBox pixels(camera, box, rays);
+    const BoxBackground pixels(camera, box, rays);
     const auto rows = std::size_t(bounds.end_v - bounds.begin_v + kWayCell - 1) / kWayCell;
     parallel_for(rows, 4, threads, [&](std::size_t begin, std::size_t end) {
       for (int row = int(begin); row < int(end); ++row)

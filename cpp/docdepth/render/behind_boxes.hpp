@@ -16,7 +16,7 @@ namespace docdepth {
 /// a person beside the view of the sensor. It stays where rays around the shutter tell two things:
 ///
 /// - The object is not on the way from the camera. At places along the way through its box, all of
-///   the four nearest rays passed, or ended on what stands still. Each is asked about the place
+///   the four nearest rays passed, or ended on what stands still. Each is cached about the place
 ///   where that part of the box was when the ray was fired.
 /// - The world is there. At least kMinEnded of the four nearest rays ended on what is drawn.
 ///
@@ -25,8 +25,8 @@ namespace docdepth {
 /// @param owners  number of the dynamic object that each pixel shows, from 1 on; 0 for none; may be
 ///   empty if the scene has none
 /// @param depth   of the image [m]; NaN for none
-void empty_behind_boxes(const Camera& camera, const MeshScene& scene,
-                        const std::vector<std::uint16_t>& owners, std::vector<float>& depth,
-                        int threads);
+void mask_unobserved_background(const Camera& camera, const MeshScene& scene,
+                                const std::vector<std::uint16_t>& owners, std::vector<float>& depth,
+                                int threads);
 
 }  // namespace docdepth

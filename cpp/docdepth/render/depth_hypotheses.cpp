@@ -150,7 +150,7 @@ DOCDEPTH_KERNEL Ints edges_of_row(const float* inverse_depth, int stride, bool a
 class VisibilityQueries {
  public:
   VisibilityQueries(const Columns& columns, const Camera& camera,
-                    const std::vector<PlacedRays>& rays)
+                    const std::vector<SweepRays>& rays)
       : focal_(camera.fx, camera.fy),
         centre_(float(camera.cx) - float(columns.begin), camera.cy),
         rays_(rays) {
@@ -201,7 +201,7 @@ class VisibilityQueries {
   }
 
   Eigen::Vector2f focal_, centre_;
-  const std::vector<PlacedRays>& rays_;
+  const std::vector<SweepRays>& rays_;
   std::vector<RigidTransform> to_rays_;
 };
 
@@ -305,7 +305,7 @@ void DepthHypotheses::add(float* inverse_depth) {
 }
 
 std::vector<float> DepthHypotheses::resolve(const Camera& camera,
-                                            const std::vector<PlacedRays>& rays) const {
+                                            const std::vector<SweepRays>& rays) const {
   std::vector<float> result = hypotheses_[0];
   if (rays.empty()) return result;
   std::vector<Tile> tiles;
@@ -347,7 +347,7 @@ std::vector<float> DepthHypotheses::resolve(const Camera& camera,
 }
 
 void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const Camera& camera,
-                        const ObjectImages& object, const std::vector<PlacedRays>& rays,
+                        const ObjectImages& object, const std::vector<SweepRays>& rays,
                         std::uint16_t number, std::vector<float>& inverse_depth,
                         std::vector<std::uint16_t>& owners) {
   const VisibilityQueries queries(columns, camera, rays);

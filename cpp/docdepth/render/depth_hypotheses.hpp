@@ -45,7 +45,7 @@ class DepthHypotheses {
   void add(float* inverse_depth);
 
   /// Inverse depth as far as rays confirm it; without rays that of the first sweep that has any.
-  std::vector<float> resolve(const Camera& camera, const std::vector<PlacedRays>& rays) const;
+  std::vector<float> resolve(const Camera& camera, const std::vector<SweepRays>& rays) const;
 
  private:
   Columns columns_;
@@ -70,7 +70,7 @@ struct ObjectImages {
 /// @param number  of the object, from 1 on
 /// @param owners  number of the object that each pixel shows; 0 for none
 void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const Camera& camera,
-                        const ObjectImages& object, const std::vector<PlacedRays>& rays,
+                        const ObjectImages& object, const std::vector<SweepRays>& rays,
                         std::uint16_t number, std::vector<float>& inverse_depth,
                         std::vector<std::uint16_t>& owners);
 

@@ -23,14 +23,14 @@ struct Layers {
   std::vector<std::uint16_t> measures;  ///< all measurements of the pixel
   std::vector<float> deviation;  ///< standard deviation of the support [m]; NaN of less than two
 
-  std::vector<Seen> seen;  ///< empty unless asked for; none of splats
+  std::vector<Seen> seen;  ///< empty unless cached for; none of splats
 
   Layers(const Camera& camera, bool with_normals);
 };
 
 /// Layers of a depth map that any renderer drew from the same sweeps. Each sweep measures a pixel
 /// once; the depth comes from the surface nearest to it.
-/// @param with_seen  whether `seen` is asked for, too
+/// @param with_seen  whether `seen` is cached for, too
 Layers layers_of_triangles(const Camera& camera, const MeshScene& scene, const float* depth,
                            bool with_seen, int threads);
 

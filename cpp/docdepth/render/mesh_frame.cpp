@@ -31,27 +31,27 @@ void add_diamond(const Vector& p, float angle, std::vector<Vector>& vertices,
 }
 
 /// @param age  of the rays of a sweep [s], by its number
-PlacedDynamicObject place(const Camera& camera, const SightedObject& object,
-                          const std::function<float(int)>& age) {
-  PlacedDynamicObject placed;
-  const auto add = [&](std::vector<PlacedMesh>& list, const PatchMesh& mesh, const Sighting& from,
+DynamicObjectScene place(const Camera& camera, const ObjectViews& object,
+                         const std::function<float(int)>& age) {
+  DynamicObjectScene placed;
+  const auto add = [&](std::vector<PlacedMesh>& list, const PatchMesh& mesh, const ObjectView& from,
                        bool split) {
     const PixelBounds bounds = bounds_of(camera, from.placed.T_camera_frame, mesh.box());
     if (!mesh.size() || bounds.empty()) return;
     placed.bounds = placed.bounds.unite(bounds);
     list.push_back({&mesh, from.placed.T_camera_frame, from.sweep, split, object.instance});
   };
-  const auto meshes = [](const Sighting& from) -> const MeshFrame::DynamicMesh& {
+  const auto meshes = [](const ObjectView& from) -> const MeshFrame::DynamicMesh& {
     return from.placed.frame->dynamic_meshes[from.owner - 1];
   };
-  for (const Sighting& from : object.around) {
+  for (const ObjectView& from : object.around) {
     auto& surfaces = &from == object.around.data() ? placed.trusted : placed.others;
     add(surfaces, meshes(from).whole, from, false);
     add(surfaces, meshes(from).inner, from, true);
     add(placed.continued, meshes(from).outer, from, true);
   }
-  for (const Sighting& from : object.others) add(placed.others, meshes(from).whole, from, false);
-  for (const Sighting& from : object.rays)
+  for (const ObjectView& from : object.others) add(placed.others, meshes(from).whole, from, false);
+  for (const ObjectView& from : object.rays)
     placed.rays.push_back({&from.placed.frame->dynamic_meshes[from.owner - 1].rays,
                            from.placed.T_camera_frame, kMovedRayBlur, age(from.sweep)});
   return placed;
@@ -93,9 +93,9 @@ MeshFrame::MeshFrame(const MeshParts& parts) {
 }
 
 MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>& static_frames,
-                        const std::vector<SightedObject>& objects, int visibility_sweeps,
-                        const std::vector<ShutterFrame>& shutter_frames,
-                        const std::vector<PlacedBox>& boxes, int nearest_frames) {
+                        const std::vector<ObjectViews>& objects, int visibility_sweeps,
+                        const std::vector<ShutterSweep>& shutter_sweeps,
+                        const std::vector<ObjectBox>& boxes, int nearest_frames) {
   MeshScene scene;
   const auto count = static_cast<int>(static_frames.size());
   for (int i = 0; i < count; ++i) {
@@ -109,15 +109,15 @@ MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>
   }
   for (int i = 0; i < std::min(count, visibility_sweeps); ++i)
     scene.rays.push_back({&static_frames[i].frame->rays, static_frames[i].T_camera_frame});
-  for (const auto& [placed, age] : shutter_frames)
+  for (const auto& [placed, age] : shutter_sweeps)
     scene.shutter_rays.push_back({&placed.frame->rays, placed.T_camera_frame, kRayBlur, age});
   scene.boxes = boxes;
   const auto age = [&](int sweep) {  // others were taken long before or after
-    const bool around = sweep >= count && std::size_t(sweep - count) < shutter_frames.size();
-    return around ? shutter_frames[sweep - count].age : std::numeric_limits<float>::infinity();
+    const bool around = sweep >= count && std::size_t(sweep - count) < shutter_sweeps.size();
+    return around ? shutter_sweeps[sweep - count].age : std::numeric_limits<float>::infinity();
   };
-  for (const SightedObject& object : objects) {
-    PlacedDynamicObject placed = place(camera, object, age);
+  for (const ObjectViews& object : objects) {
+    DynamicObjectScene placed = place(camera, object, age);
     if (!placed.bounds.empty()) scene.dynamic_objects.push_back(std::move(placed));
   }
   return scene;
@@ -125,13 +125,13 @@ MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>
 
 std::vector<float> render_meshes(const Camera& camera,
                                  const std::vector<PlacedMeshFrame>& static_frames,
-                                 const std::vector<SightedObject>& objects, int visibility_sweeps,
-                                 const std::vector<ShutterFrame>& shutter_frames,
-                                 const std::vector<PlacedBox>& boxes, int nearest_frames,
+                                 const std::vector<ObjectViews>& objects, int visibility_sweeps,
+                                 const std::vector<ShutterSweep>& shutter_sweeps,
+                                 const std::vector<ObjectBox>& boxes, int nearest_frames,
                                  int threads) {
   return render_triangles(camera,
                           compose_scene(camera, static_frames, objects, visibility_sweeps,
-                                        shutter_frames, boxes, nearest_frames),
+                                        shutter_sweeps, boxes, nearest_frames),
                           threads);
 }
 

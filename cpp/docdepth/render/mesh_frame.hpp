@@ -57,24 +57,24 @@ struct PlacedMeshFrame {
 };
 
 /// A whole sweep around the image.
-struct ShutterFrame {
+struct ShutterSweep {
   PlacedMeshFrame placed;
   float age;  ///< from the sweep's stamp to the image [s]
 };
 
 /// What a sweep saw of an object, placed where the object is at the time of the image.
-struct Sighting {
+struct ObjectView {
   PlacedMeshFrame placed;
   std::uint32_t owner;  ///< number of the object in the frame, from 1 on
   int sweep;            ///< number of the sweep, chosen by the caller
 };
 
 /// A dynamic object as several sweeps saw it.
-struct SightedObject {
-  std::uint16_t instance;        ///< 0 if it is not followed
-  std::vector<Sighting> around;  ///< sweeps around the image; the first is trusted
-  std::vector<Sighting> others;  ///< sweeps farther in time, which saw other parts of it
-  std::vector<Sighting> rays;    ///< that tell where it ends
+struct ObjectViews {
+  std::uint16_t instance;          ///< 0 if it is not followed
+  std::vector<ObjectView> around;  ///< sweeps around the image; the first is trusted
+  std::vector<ObjectView> others;  ///< sweeps farther in time, which saw other parts of it
+  std::vector<ObjectView> rays;    ///< that tell where it ends
 };
 
 /// Depth map of static surface and dynamic objects, row after row [m]; NaN if there is none.
@@ -83,22 +83,22 @@ struct SightedObject {
 ///   frame for each
 /// @param visibility_sweeps  number of static_frames whose rays decide where sweeps differ. With 0
 ///   the first sweep with a depth wins.
-/// @param shutter_frames     sweeps nearest in time to the image, the nearest first; these are the
+/// @param shutter_sweeps     sweeps nearest in time to the image, the nearest first; these are the
 ///   sweeps static_frames.size(), static_frames.size() + 1, ... of sightings
-/// @param boxes              around objects that move; see empty_behind_boxes()
+/// @param boxes              around objects that move; see mask_unobserved_background()
 /// @param nearest_frames     number of static_frames of the nearest sweep, at least 1: they are
 ///   trusted, and between its last return and the next ray each may hide what is farther
 std::vector<float> render_meshes(const Camera& camera,
                                  const std::vector<PlacedMeshFrame>& static_frames,
-                                 const std::vector<SightedObject>& objects, int visibility_sweeps,
-                                 const std::vector<ShutterFrame>& shutter_frames,
-                                 const std::vector<PlacedBox>& boxes, int nearest_frames,
+                                 const std::vector<ObjectViews>& objects, int visibility_sweeps,
+                                 const std::vector<ShutterSweep>& shutter_sweeps,
+                                 const std::vector<ObjectBox>& boxes, int nearest_frames,
                                  int threads);
 
 /// What render_meshes() draws, for any rasteriser. static_frames are the sweeps from 0 on.
 MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>& static_frames,
-                        const std::vector<SightedObject>& objects, int visibility_sweeps,
-                        const std::vector<ShutterFrame>& shutter_frames,
-                        const std::vector<PlacedBox>& boxes, int nearest_frames);
+                        const std::vector<ObjectViews>& objects, int visibility_sweeps,
+                        const std::vector<ShutterSweep>& shutter_sweeps,
+                        const std::vector<ObjectBox>& boxes, int nearest_frames);
 
 }  // namespace docdepth

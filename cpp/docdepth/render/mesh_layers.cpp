@@ -25,7 +25,7 @@ std::vector<const PlacedMesh*> meshes_of(const MeshScene& scene) {
   std::vector<const PlacedMesh*> meshes;
   for (const auto* list : {&scene.trusted, &scene.others})
     for (const PlacedMesh& mesh : *list) meshes.push_back(&mesh);
-  for (const PlacedDynamicObject& object : scene.dynamic_objects)
+  for (const DynamicObjectScene& object : scene.dynamic_objects)
     for (const auto* list : {&object.trusted, &object.others, &object.continued})
       for (const PlacedMesh& mesh : *list) meshes.push_back(&mesh);
   return meshes;
@@ -35,7 +35,7 @@ std::vector<const PlacedMesh*> meshes_of(const MeshScene& scene) {
 std::vector<std::int32_t> objects_of_meshes(const MeshScene& scene) {
   std::vector<std::int32_t> objects(scene.trusted.size() + scene.others.size(), -1);
   for (std::size_t k = 0; k < scene.dynamic_objects.size(); ++k) {
-    const PlacedDynamicObject& object = scene.dynamic_objects[k];
+    const DynamicObjectScene& object = scene.dynamic_objects[k];
     const auto meshes = object.trusted.size() + object.others.size() + object.continued.size();
     objects.insert(objects.end(), meshes, std::int32_t(k));
   }

@@ -79,7 +79,7 @@ class Rays {
 };
 
 /// Rays in the frame of the camera at the time of the image.
-struct PlacedRays {
+struct SweepRays {
   const Rays* rays;
   Pose T_camera_rays;
   float blur = kRayBlur;  ///< how exactly their position is known [m]

@@ -19,32 +19,32 @@ Vector point_at(const Camera& camera, std::size_t pixel, const float* depth) {
   return ray_of(camera, float(pixel % camera.width), float(pixel / camera.width)) * depth[pixel];
 }
 
-bool all(const Corners& corners, Verdict verdict) {
+bool all(const QuadrantRays& corners, Verdict verdict) {
   return count(corners, {verdict}) == int(corners.size());
 }
 
 /// Whether another surface, whose returns lie beside the pixel, may hide its point from the camera.
 /// @param front  the nearest point of the image beside the pixel
 bool may_be_hidden(const ShutterRays& rays, const Vector& point, const Vector& front,
-                   const Corners& corners) {
+                   const QuadrantRays& corners) {
   if (front.z() + kSurfaceMargin + kSurfaceMarginGrowth * point.z() > point.z()) return false;
-  for (const Corner& corner : corners)
+  for (const QuadrantRay& corner : corners)
     if (rays.on_plane(corner, front)) return false;
-  const Corners before = rays.around({front.z() / point.z() * point, Kind::kAny});
+  const QuadrantRays before = rays.around({front.z() / point.z() * point, Kind::kAny});
   return count(before, {Verdict::kEnded}) > 0;
 }
 
 /// The camera stands beside the sensor: what ends before the point for one of them may not hide it
 /// from the other.
 Seen seen_at(const ShutterRays& rays, const Vector& point, Kind kind, const Vector& front) {
-  const Corners corners = rays.around({point, kind});
+  const QuadrantRays corners = rays.around({point, kind});
   if (all(corners, Verdict::kPassed)) return Seen::kContradicted;
   if (all(corners, Verdict::kEnded))
     return may_be_hidden(rays, point, front, corners) ? Seen::kNotLookedAt : Seen::kAgreed;
   if (!all(corners, Verdict::kBefore)) return Seen::kNotLookedAt;
-  const Corner& nearest =
-      *std::min_element(corners.begin(), corners.end(),
-                        [](const Corner& a, const Corner& b) { return a.squared < b.squared; });
+  const QuadrantRay& nearest = *std::min_element(
+      corners.begin(), corners.end(),
+      [](const QuadrantRay& a, const QuadrantRay& b) { return a.squared < b.squared; });
   const bool hidden = all(rays.around({nearest.range * point, kind}), Verdict::kEnded);
   return hidden ? Seen::kContradicted : Seen::kNotLookedAt;
 }
@@ -71,9 +71,9 @@ std::vector<std::uint32_t> nearest_beside(const Camera& camera, const float* dep
 }
 
 /// A surface goes on beyond its last return for less than the distance to the next [pixel].
-int front_radius(const Camera& camera, const std::vector<PlacedRays>& rays) {
+int front_radius(const Camera& camera, const std::vector<SweepRays>& rays) {
   float spacing = 0;
-  for (const PlacedRays& placed : rays) spacing = std::max(spacing, placed.rays->cells().spacing());
+  for (const SweepRays& placed : rays) spacing = std::max(spacing, placed.rays->cells().spacing());
   return std::min(int(kFrontRays * spacing * float(camera.fx)), kMostFront);
 }
 
@@ -83,7 +83,7 @@ std::vector<Seen> seen_pixels(const Camera& camera, const MeshScene& scene, cons
                               const std::vector<std::int32_t>& objects, int threads) {
   const ShutterRays still(scene.shutter_rays);
   std::vector<ShutterRays> moved;
-  for (const PlacedDynamicObject& object : scene.dynamic_objects) moved.emplace_back(object.rays);
+  for (const DynamicObjectScene& object : scene.dynamic_objects) moved.emplace_back(object.rays);
   const auto front = nearest_beside(camera, depth, front_radius(camera, scene.shutter_rays));
   std::vector<Seen> seen(objects.size(), Seen::kNoDepth);
   parallel_for(camera.height, 8, threads, [&](std::size_t begin, std::size_t end) {

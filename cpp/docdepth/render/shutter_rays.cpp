@@ -30,7 +30,7 @@ DOCDEPTH_KERNEL Verdict verdict_of(const Rays::End& end, bool same_kind, const V
 /// The rays of one sweep.
 class ShutterRays::Sweep {
  public:
-  explicit Sweep(const PlacedRays& placed)
+  explicit Sweep(const SweepRays& placed)
       : cells_(placed.rays->cells()),
         T_rays_camera_(placed.T_camera_rays.inverse()),
         first_(placed.age - kShutter),
@@ -55,7 +55,7 @@ class ShutterRays::Sweep {
     return (from - to).norm() / cells_.spacing();
   }
 
-  DOCDEPTH_KERNEL void find(const Place& place, std::size_t number, Corners& corners) const {
+  DOCDEPTH_KERNEL void find(const Place& place, std::size_t number, QuadrantRays& corners) const {
     const bool moves = !place.velocity.isZero(0);
     Target to = target(place.point, place.kind, number);
     if (!to.in_range()) return;
@@ -103,17 +103,17 @@ class ShutterRays::Sweep {
     return to;
   }
 
-  DOCDEPTH_KERNEL static float farthest_squared(const Corners& corners) {
+  DOCDEPTH_KERNEL static float farthest_squared(const QuadrantRays& corners) {
     return std::max(std::max(corners[0].squared, corners[1].squared),
                     std::max(corners[2].squared, corners[3].squared));
   }
-  DOCDEPTH_KERNEL static float farthest(const Corners& corners) {
+  DOCDEPTH_KERNEL static float farthest(const QuadrantRays& corners) {
     return std::sqrt(farthest_squared(corners));
   }
 
   /// Look at the rays whose directions lie within `reach` of (azimuth, elevation).
   DOCDEPTH_KERNEL void scan(const Target& to, float azimuth, float elevation, float reach,
-                            Corners& corners) const {
+                            QuadrantRays& corners) const {
     const int low = std::max(row_of(elevation - reach), 0);
     const int high = std::min(row_of(elevation + reach), cells_.rows - 1);
     if (low > high) return;
@@ -146,8 +146,8 @@ class ShutterRays::Sweep {
 
   /// Keep ray i if it is nearer than what its quadrant has.
   DOCDEPTH_KERNEL void take(const Target& to, std::uint32_t i, float u, float v, float squared,
-                            Corners& corners) const {
-    Corner& corner = corners[(u > 0) + 2 * (v > 0)];
+                            QuadrantRays& corners) const {
+    QuadrantRay& corner = corners[(u > 0) + 2 * (v > 0)];
     if (!(squared < corner.squared) || cells_.time[i] < first_ || cells_.time[i] > last_) return;
     const Rays::End& end = cells_.ends[i];
     const bool same_kind = to.kind == Kind::kAny || Kind(cells_.moving[i]) == to.kind;
@@ -186,15 +186,15 @@ class ShutterRays::Sweep {
   float reach_;         // [units]
 };
 
-struct ShutterRays::FindCorners {
+struct ShutterRays::FindRays {
   DOCDEPTH_KERNEL static void run(const std::vector<Sweep>& sweeps, const Place& place,
-                                  Corners& corners) {
+                                  QuadrantRays& corners) {
     for (std::size_t s = 0; s < sweeps.size(); ++s) sweeps[s].find(place, s, corners);
   }
 };
 
-ShutterRays::ShutterRays(const std::vector<PlacedRays>& rays) {
-  for (const PlacedRays& placed : rays) {
+ShutterRays::ShutterRays(const std::vector<SweepRays>& rays) {
+  for (const SweepRays& placed : rays) {
     sweeps_.emplace_back(placed);
     if (!sweeps_.back().any()) sweeps_.pop_back();
   }
@@ -204,13 +204,13 @@ ShutterRays::ShutterRays(ShutterRays&&) noexcept = default;
 
 ShutterRays::~ShutterRays() = default;
 
-Corners ShutterRays::around(const Place& place) const {
-  Corners corners;
-  dispatch<FindCorners>(sweeps_, place, corners);
+QuadrantRays ShutterRays::around(const Place& place) const {
+  QuadrantRays corners;
+  dispatch<FindRays>(sweeps_, place, corners);
   return corners;
 }
 
-bool ShutterRays::on_plane(const Corner& corner, const Vector& point) const {
+bool ShutterRays::on_plane(const QuadrantRay& corner, const Vector& point) const {
   return sweeps_[corner.sweep].on_plane(corner.plane, point);
 }
 
@@ -220,8 +220,8 @@ float ShutterRays::apart(const Vector& a, const Vector& b) const {
   return most;
 }
 
-int count(const Corners& corners, std::initializer_list<Verdict> verdicts) {
-  return int(std::count_if(corners.begin(), corners.end(), [&](const Corner& corner) {
+int count(const QuadrantRays& corners, std::initializer_list<Verdict> verdicts) {
+  return int(std::count_if(corners.begin(), corners.end(), [&](const QuadrantRay& corner) {
     return std::find(verdicts.begin(), verdicts.end(), corner.verdict) != verdicts.end();
   }));
 }

@@ -26,30 +26,30 @@ struct Place {
 };
 
 /// What the nearest ray of a quadrant says of a place.
-struct Corner {
+struct QuadrantRay {
   float squared = std::numeric_limits<float>::infinity();  ///< angle [units]
   float range = 0;                                         ///< of its end over that of the place
   Verdict verdict = Verdict::kNone;
   Eigen::Vector3f plane{0, 0, 0};  ///< where it ended, in the frame of the sweep
   std::size_t sweep = 0;
 };
-using Corners = std::array<Corner, 4>;
+using QuadrantRays = std::array<QuadrantRay, 4>;
 
 /// How many of the nearest rays say one of these.
-int count(const Corners& corners, std::initializer_list<Verdict> verdicts);
+int count(const QuadrantRays& corners, std::initializer_list<Verdict> verdicts);
 
 /// All rays within kShutter of the image.
 class ShutterRays {
  public:
-  explicit ShutterRays(const std::vector<PlacedRays>& rays);
+  explicit ShutterRays(const std::vector<SweepRays>& rays);
   ShutterRays(ShutterRays&&) noexcept;
   ~ShutterRays();
 
   /// The nearest ray in each quadrant of direction around a place, of those within kNearRays.
-  Corners around(const Place& place) const;
+  QuadrantRays around(const Place& place) const;
 
   /// Whether a point in the frame of the camera lies on the plane where the ray ended.
-  bool on_plane(const Corner& corner, const Eigen::Vector3f& point) const;
+  bool on_plane(const QuadrantRay& corner, const Eigen::Vector3f& point) const;
 
   /// How far apart the sensor sees two points of the frame of the camera, in mean distances between
   /// returns.
@@ -57,7 +57,7 @@ class ShutterRays {
 
  private:
   class Sweep;
-  struct FindCorners;
+  struct FindRays;
 
   std::vector<Sweep> sweeps_;
 };

@@ -13,7 +13,7 @@ namespace {
 
 /// Draw dynamic objects over what is farther. The strip is left empty.
 DOCDEPTH_KERNEL void draw_dynamic_objects(const Camera& camera,
-                                          const std::vector<PlacedDynamicObject>& objects,
+                                          const std::vector<DynamicObjectScene>& objects,
                                           const Columns& columns, Strip& strip,
                                           std::vector<float>& inverse_depth,
                                           std::vector<std::uint16_t>& owners) {
@@ -22,7 +22,7 @@ DOCDEPTH_KERNEL void draw_dynamic_objects(const Camera& camera,
   ObjectImages images{none, none, none};
   std::fill(strip.inverse_depth.begin(), strip.inverse_depth.end(), 0.0f);
   std::uint16_t number = 0;
-  for (const PlacedDynamicObject& object : objects) {
+  for (const DynamicObjectScene& object : objects) {
     ++number;
     PixelBounds bounds = object.bounds.intersect(own);
     if (bounds.empty()) continue;
@@ -84,7 +84,7 @@ std::vector<float> render_triangles(const Camera& camera, const MeshScene& scene
         if (!owners.empty()) owners[to] = drawn[from];
       }
   });
-  empty_behind_boxes(camera, scene, owners, depth, threads);
+  mask_unobserved_background(camera, scene, owners, depth, threads);
   return depth;
 }
 

@@ -20,17 +20,17 @@ struct PlacedMesh {
 };
 
 /// A dynamic object at the time of the image, as one or more sweeps saw it.
-struct PlacedDynamicObject {
+struct DynamicObjectScene {
   std::vector<PlacedMesh> trusted;    ///< drawn as they are
   std::vector<PlacedMesh> others;     ///< drawn where no rays contradict or doubt them
   std::vector<PlacedMesh> continued;  ///< continue both; drawn where rays confirm them
   /// Placed so that the object stands still among them; of the sweeps nearest in time first.
-  std::vector<PlacedRays> rays;
+  std::vector<SweepRays> rays;
   PixelBounds bounds;  ///< all of it lies within
 };
 
 /// The box around an object that moves, at the time of the image.
-struct PlacedBox {
+struct ObjectBox {
   Pose T_camera_box;  ///< x forward, z up; the origin is the centre of the bottom
   Eigen::Vector3f size;
   Eigen::Vector3f velocity;  ///< in the frame of the camera [m/s]
@@ -41,11 +41,11 @@ struct PlacedBox {
 struct MeshScene {
   std::vector<PlacedMesh> trusted;  ///< of the nearest sweep; drawn as they are, except at edges
   std::vector<PlacedMesh> others;   ///< fill what is left empty, and are hypotheses at edges
-  std::vector<PlacedRays> rays;     ///< decide between hypotheses
-  std::vector<PlacedDynamicObject> dynamic_objects;  ///< hide what is farther
-  std::vector<PlacedRays> shutter_rays{};            ///< of the sweeps nearest in time to the image
+  std::vector<SweepRays> rays;      ///< decide between hypotheses
+  std::vector<DynamicObjectScene> dynamic_objects;  ///< hide what is farther
+  std::vector<SweepRays> shutter_rays{};            ///< of the sweeps nearest in time to the image
   std::vector<PlacedMesh> continued{};  ///< continue `trusted`, and may hide what is farther
-  std::vector<PlacedBox> boxes{};       ///< around what moves; see empty_behind_boxes()
+  std::vector<ObjectBox> boxes{};       ///< around what moves; see mask_unobserved_background()
 };
 
 /// Depth of the surface at each pixel, row after row [m]; NaN if there is none. Triangles with a

@@ -35,7 +35,7 @@ TEST_CASE("an object has the rays near it in any direction, however wide it is")
   const std::vector<std::uint16_t> classid(points.rows(), kDynamic);
   const std::vector<Eigen::Vector3f> normals(points.rows(), Eigen::Vector3f::Zero());
   const std::vector<ObjectMotion> motions(1, {Eigen::Vector3f::Zero(), 0});
-  const auto beside = int(kOutlineAngle / kStep);  // columns or rings
+  const auto beside = int(0.044f / kStep);  // columns or rings
   for (const int width : {1, 20, 80, 100, 300})
     for (int first = 0; first < kColumns; first += 24) {
       std::vector<std::uint16_t> owner(points.rows(), 0);

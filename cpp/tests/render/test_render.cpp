@@ -230,7 +230,7 @@ TEST_CASE("an object goes on where rays met it close by, and other sweeps add wh
              aside = sweep(10, spacing, 0.04f);
   const Pose T = looking_ahead();
   enum Kind { kTrusted, kOther, kContinued };
-  const auto middle = [&](const std::vector<PlacedRays>& rays, Kind kind) {
+  const auto middle = [&](const std::vector<SweepRays>& rays, Kind kind) {
     MeshScene scene;
     scene.trusted.push_back({&wall, Pose::Identity()});
     const std::vector<PlacedMesh> meshes{{&dynamic_mesh, Pose::Identity()}}, none;
@@ -255,12 +255,12 @@ TEST_CASE("an object goes on where rays met it close by, and other sweeps add wh
   // What another sweep measured takes more than one ray to doubt, and many to deny.
   CHECK(middle({}, kOther) == doctest::Approx(5));
   CHECK(middle({{&far, T}}, kOther) == doctest::Approx(5));
-  const PlacedRays denied{&passed, T, shaky}, confirmed{&close, T};
+  const SweepRays denied{&passed, T, shaky}, confirmed{&close, T};
   CHECK(middle({denied}, kOther) == doctest::Approx(5));
   CHECK(std::isnan(middle({denied, denied}, kOther)));
   CHECK(std::isnan(middle({denied, denied, confirmed, confirmed, confirmed}, kOther)));
   CHECK(middle({confirmed, confirmed, denied, denied}, kOther) == doctest::Approx(5));
-  CHECK(middle(std::vector<PlacedRays>(7, denied), kOther) == doctest::Approx(10));
+  CHECK(middle(std::vector<SweepRays>(7, denied), kOther) == doctest::Approx(10));
   for (const Rays* rays : {&close, &far, &passed}) CHECK(middle({{rays, T}}, kTrusted) == 5);
 }
 

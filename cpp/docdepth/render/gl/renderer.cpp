@@ -220,7 +220,7 @@ std::vector<float> GlRenderer::render_triangles(const Camera& camera, const Mesh
       depth[i] = static_depth[from] > 0 ? 1.0f / static_depth[from] : kNone;
       owners.push_back(wide[from]);
     }
-    empty_behind_boxes(camera, scene, owners, depth, 0);
+    mask_unobserved_background(camera, scene, owners, depth, 0);
     return depth;
   });
 }
