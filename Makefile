@@ -1,6 +1,7 @@
 # make demo       install what is missing and turn a synthetic drive into depth maps
 # make test       install what is missing; style, types, C++ tests and the fast Python tests
 # make test-all   the same with sanitizers, slow tests, notebooks and the site
+# make nightly    what takes too long for each change: more drives, every notebook, benchmarks
 # make docs       install what is missing and build the site into build/site
 #
 # The first of them builds the C++ core, which takes about two minutes. Tests on real recordings run
@@ -13,7 +14,7 @@ BIN := $(VENV)/bin
 SYSTEM := g++ make python3-venv python3-dev libeigen3-dev libnanoflann-dev doctest-dev \
           libosmesa6 libegl1 libgl1-mesa-dri libgl1 libgomp1 libusb-1.0-0
 
-.PHONY: demo test test-all docs install dev lint cpp-test sanitize pytest pytest-all stubs format \
+.PHONY: demo test test-all nightly docs install dev lint cpp-test sanitize pytest pytest-all pytest-nightly stubs format \
         wheel clean system
 
 demo: install
@@ -33,6 +34,9 @@ test:
 
 test-all:
 	$(call run,dev lint cpp-test sanitize pytest-all docs)
+
+nightly: test-all
+	$(call run,pytest-nightly)
 
 # System packages by apt, where there is one; elsewhere CMake fetches the headers it needs.
 system:
@@ -125,7 +129,10 @@ pytest: dev
 	$(PYTEST) -m "not slow"
 
 pytest-all: dev
-	$(PYTEST) -m "slow or not slow"
+	$(PYTEST) -m "not nightly"
+
+pytest-nightly: dev
+	$(PYTEST) -m nightly
 
 # The site; what it warns of is an error.
 docs: $(VENV)/documented

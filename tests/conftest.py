@@ -16,6 +16,13 @@ from walled_yard import scan, straight
 _NO_RECORDINGS = "DOCDEPTH_KITTI_RAW is not set: no real recordings"
 
 
+def pytest_collection_modifyitems(items):
+    """What runs at night is slow, too."""
+    for item in items:
+        if item.get_closest_marker("nightly"):
+            item.add_marker(pytest.mark.slow)
+
+
 def pytest_terminal_summary(terminalreporter):
     """Say which tests on real recordings were left out, and how to run them."""
     skipped = terminalreporter.stats.get("skipped", [])

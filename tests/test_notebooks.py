@@ -71,7 +71,7 @@ def test_open3d_gets_labels_and_the_coloured_cloud(names) -> None:
     assert os.path.getsize(picture) > 10_000
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_votes_find_the_object_and_need_time(tmp_path: Path) -> None:
     names = run_notebook("votes_of_one_object", tmp_path)
     mine, votes = names["mine"], names["votes"]
@@ -84,7 +84,7 @@ def test_votes_find_the_object_and_need_time(tmp_path: Path) -> None:
     assert shares[0] < shares[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_parameter_is_chosen_and_tried_on_another_drive(tmp_path: Path) -> None:
     names = run_notebook("parameters_by_tune", tmp_path)
     assert names["best"].metric("iou") == max(names["scores"]) > min(names["scores"]) + 0.05
@@ -95,7 +95,7 @@ def test_a_parameter_is_chosen_and_tried_on_another_drive(tmp_path: Path) -> Non
     assert triangles < splats
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_held_out_sweeps_tell_that_poses_are_damaged(tmp_path: Path) -> None:
     names = run_notebook("held_out", tmp_path)
     before, after = names["before"].all, names["after"].all

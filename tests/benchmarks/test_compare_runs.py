@@ -2,10 +2,9 @@
 
 import shutil
 
+import numpy as np
 import pytest
 from compare_runs import main
-
-from docdepth.io.frames import read_frame, write_frame
 
 
 def test_every_result_is_compared(finished, tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -13,10 +12,10 @@ def test_every_result_is_compared(finished, tmp_path, capsys: pytest.CaptureFixt
     shutil.copytree(run, other)
     assert main([str(run), str(other)]) == 0
     assert "0 differ" in capsys.readouterr().out
-    frame = other / "frames" / "frame_000001.ply"
-    record = read_frame(frame)
-    record.classid[0] += 1
-    write_frame(frame, record)
+    classes = other / "classes" / "frame_000001.npy"
+    rows = np.load(classes)
+    rows["classid"][0] += 1
+    np.save(classes, rows)
     label = sorted((other / "labels").iterdir())[0]
     label.write_bytes(label.read_bytes()[:-4] + b"\0\0\0\0")
     depth = sorted((other / "depth").glob("*.png"))[0]
@@ -25,5 +24,5 @@ def test_every_result_is_compared(finished, tmp_path, capsys: pytest.CaptureFixt
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].endswith("3 differ")
     assert f"depth/{depth.name}" in lines
-    assert "frames/frame_000001.ply" in lines
+    assert "classes/frame_000001.npy" in lines
     assert f"labels/{label.name}" in lines

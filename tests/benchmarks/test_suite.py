@@ -79,7 +79,7 @@ def test_table_has_the_mean_and_the_worst_of_each_metric() -> None:
     assert rows[4] == ("c", "t", "-", "3.0")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_suite_of_two_tiny_cells(tmp_path, monkeypatch) -> None:
     pytest.importorskip("embreex")
     import cells

@@ -26,7 +26,7 @@ def test_a_tiny_cell_has_figures_of_labels_and_tracks(tmp_path, capsys):
     assert (tmp_path / "out" / "seed0" / "overtaking_VLP-16.json").is_file()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_car_ahead_of_a_rosette_is_one_track_that_heads_where_it_goes(tmp_path):
     """Its rear alone says little of its heading: registered alone it turned, and was lost."""
     from cells import Cell, ExactDrive
@@ -51,7 +51,7 @@ def test_a_car_ahead_of_a_rosette_is_one_track_that_heads_where_it_goes(tmp_path
     assert np.abs(heading).max() < 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_oncoming_car_of_which_each_sweep_of_a_rosette_sees_another_part_is_tracked(tmp_path):
     """It comes at 34 m/s. By the first two parts that are seen of it, it seems 5 m/s slower."""
     from cells import Cell, ExactDrive

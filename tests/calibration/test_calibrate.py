@@ -137,7 +137,7 @@ def test_rays_begin_at_their_lasers():
     np.testing.assert_allclose(height, (2, 0, 0.25), atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_real_boards(recordings, tmp_path):
     """20 boards by a VLP-16. The files beside them, of 105 mm squares and K, are of another rig."""
     real = recordings / "acfr"

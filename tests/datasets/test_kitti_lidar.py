@@ -86,7 +86,7 @@ def test_the_laser_of_each_point_is_found():
     assert (kitti_lidar.sensor_rig(strange).index < 64).all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_depth_is_better_than_as_if_seen_from_the_origin(drive, tmp_path):
     dataset, blind = open_dataset(drive), open_dataset(drive)
     see = blind.sweep
@@ -124,6 +124,7 @@ def test_times_of_points_are_kept_with_a_compensated_run_and_move_none(drive, tm
     np.testing.assert_allclose(frame.time_offset, 0.1 * sweep.relative_time[frame.index], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_drive_may_say_where_its_lidar_looks_from(tmp_path):
     folder = write_drive(tmp_path, "city", "XT-32", frames=3, images=False)
     assert open_dataset(folder).sweep(1).sensor_rig is None

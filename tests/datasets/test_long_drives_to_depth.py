@@ -102,6 +102,7 @@ def write_helipr(root: Path, dataset: Dataset) -> Path:
     return folder
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("write", [write_boreas, write_helipr])
 def test_depth_maps(raw, tmp_path: Path, write) -> None:
     dataset, by_itself = raw

@@ -53,7 +53,7 @@ def test_returns_are_given_to_their_lidars(cloud) -> None:
     assert told > own - 0.003 > whole + 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_lidar_in_the_bumper_is_told_from_those_on_the_roof(cloud) -> None:
     points, ends, places = cloud
     blocks = np.linspace(0, len(points), 33).astype(int).tolist()
@@ -93,7 +93,7 @@ def test_a_single_lidar_is_one(cloud, lidar) -> None:
     assert estimate_sensor_origin(Recording(shifted)) is None, "seen from where it is"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_recording_has_the_rig_that_was_found(cloud) -> None:
     points, _, places = cloud
     mounted = LevelledRecording(Recording(points), sensor_origin=places)

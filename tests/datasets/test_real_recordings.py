@@ -246,6 +246,7 @@ def test_a_real_scene_of_dgp(recordings: Path) -> None:
         np.testing.assert_allclose(own, [pose[a] for a in "xyz"], atol=1e-4)
 
 
+@pytest.mark.nightly
 def test_the_lidars_of_a_real_merged_cloud_are_told_apart(recordings: Path) -> None:
     """One sits in the bumper, the others on the roof, in the order of the points."""
     found = estimate_sensor_origin(open_dataset(recordings / "dgp"))

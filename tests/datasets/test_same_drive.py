@@ -13,8 +13,6 @@ from docdepth import read_depth, run
 from docdepth.datasets import Dataset, open_dataset
 from docdepth.io.poses import read_poses
 
-pytestmark = pytest.mark.slow
-
 FRAMES = "20:42"
 
 
@@ -36,6 +34,7 @@ def other(request, raw, tmp_path_factory) -> Dataset:
     return open_dataset(write_bag(root / "bag" / name, request.param, dataset, poses))
 
 
+@pytest.mark.slow
 def test_sweeps_times_poses_and_cameras(raw, other, drive_9001) -> None:
     dataset, _ = raw
     poses = read_poses(drive_9001 / "lidar_poses_tum.txt")[20:42]
@@ -62,10 +61,12 @@ def _depth_maps(folder: Path) -> list[np.ndarray]:
     return [read_depth(file) for file in sorted((folder / "depth").glob("*.png"))]
 
 
+@pytest.mark.nightly
 def test_depth_maps(raw_run, other, tmp_path) -> None:
     _check_depth(raw_run, run(other.path, tmp_path / "run").path)
 
 
+@pytest.mark.slow
 def test_depth_maps_of_a_run_folder(raw_run, tmp_path) -> None:
     """The layout of the authors' release, with docdepth's further columns."""
     dataset = open_dataset(raw_run)

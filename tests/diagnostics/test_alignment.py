@@ -87,7 +87,7 @@ def test_the_right_calibration_of_a_real_drive_is_left_alone(drive_9001: Path) -
     assert found == f"{BETTER} the camera turns 1.5 degrees to the right"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_drives_along_is_no_shift(overtaking: Dataset) -> None:
     """At 25 m/s the LiDAR moves by 0.9 m from a sweep to its image, and they with it."""
     stream = overtaking.cameras["image_2"]
@@ -119,13 +119,13 @@ def test_a_lever_arm_of_half_a_metre_is_seen(recording: Dataset) -> None:
     assert found == f"{BETTER} the camera moves 0.5 m to the right"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_images_of_other_times_are_seen(city: Dataset) -> None:
     found = find_misalignment(city, later(city.cameras["image_2"], 3))
     assert found == f"{BETTER} the camera moves 2 m forward, or they are of other times"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_another_cars_calibration_fits_by_chance_only(city: Dataset) -> None:
     other = turned(moved(city.cameras["image_2"], 0.5), tilt=20, pan=15)
     found = find_misalignment(city, other)
@@ -133,7 +133,7 @@ def test_another_cars_calibration_fits_by_chance_only(city: Dataset) -> None:
     assert "by chance only" in found or BETTER in found
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("by", [-1, 1])
 def test_a_quaternion_in_the_other_order_is_seen(recording: Dataset, by: int) -> None:
     stream = recording.cameras["image_2"]

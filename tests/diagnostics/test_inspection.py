@@ -294,7 +294,7 @@ def test_a_synthetic_drive_has_no_warning(drive: Path) -> None:
     assert len(on_images) == len(recording.cameras)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_real_drives_have_no_warning(drive_0005: Path, drive_9001: Path) -> None:
     """But one: the last sweep of drive 9001 was cut off."""
     for path, cut_off in ((drive_0005, 0), (drive_9001, 1)):
@@ -308,7 +308,7 @@ def test_real_drives_have_no_warning(drive_0005: Path, drive_9001: Path) -> None
         assert result.figures["ego"] is not None
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_wrong_poses_of_a_real_drive_are_told(drive_0005: Path) -> None:
     recording = open_dataset(drive_0005, frames="50:75")
     poses = estimate_poses(recording, passes=1)
@@ -356,7 +356,7 @@ def test_two_returns_of_a_real_lidar(recordings: Path) -> None:
     assert codes_of(result).count("two-returns") == len(warnings_of(result)) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_where_the_lidars_of_a_real_scene_of_dgp_are(recordings: Path) -> None:
     """Points are in the vehicle's frame, whose origin is on the ground, of several LiDARs."""
     result = inspect_recording(open_dataset(recordings / "dgp"))

@@ -18,8 +18,8 @@ from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.ground.growing import grow_ground
 from docdepth.io.frames import write_trajectory
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline import classify as stage
-from docdepth.pipeline import run_classify
+from docdepth.pipeline import classify as classify_stage
+from docdepth.pipeline import run_classify, sweep_store
 from walled_yard import scan, straight
 
 DEFAULT = parameters("default").dynamics
@@ -133,8 +133,13 @@ def test_an_interrupted_run_continues_and_ends_the_same(street, few_votes, tmp_p
 
     again = folder_of(tmp_path / "again", trajectory, sweeps, p)
     # One file of ground comes first; then while it votes, and while it adds tracks.
-    for name, times in (("write_arrays", 8), ("write_arrays", 3), ("write_classified", 7)):
-        whole, left = getattr(stage, name), iter(range(times))
+    for module, name, times in (
+        (classify_stage, "write_arrays", 0),
+        (sweep_store, "write_arrays", 7),
+        (sweep_store, "write_arrays", 3),
+        (sweep_store, "write_classified", 7),
+    ):
+        whole, left = getattr(module, name), iter(range(times))
 
         def interrupted(*arguments, whole=whole, left=left):
             if next(left, None) is None:
@@ -142,7 +147,7 @@ def test_an_interrupted_run_continues_and_ends_the_same(street, few_votes, tmp_p
             whole(*arguments)
 
         with monkeypatch.context() as patch:
-            patch.setattr(stage, name, interrupted)
+            patch.setattr(module, name, interrupted)
             with pytest.raises(KeyboardInterrupt):
                 run_classify(again)
     seen = sorted((again.notes / "evidence").glob("*/*.npy"))

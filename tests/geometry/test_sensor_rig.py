@@ -167,7 +167,7 @@ def run(dataset, path):
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_sweep_of_both(two):
     dataset = open_dataset(two)
     sweep = dataset.sweep(3)
@@ -208,7 +208,7 @@ def test_each_lidar_votes_from_its_own_place(vote_model):
     assert votes.dynamic[2] == 0  # hidden by the wall
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_votes_are_those_of_both_apart(two):
     dataset = open_dataset(two)
     sweep, other = dataset.sweep(2), dataset.sweep(6)
@@ -227,7 +227,7 @@ def test_votes_are_those_of_both_apart(two):
     np.testing.assert_array_equal(votes.dynamic, expected.dynamic)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_of_both(two, tmp_path):
     """As if one LiDAR had measured all, fewer pixels of a map are right."""
     dataset, blind = open_dataset(two), open_dataset(two)

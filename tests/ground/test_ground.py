@@ -119,6 +119,7 @@ def test_labels_equal_plain_growing_at_other_parameters(update):
     assert_equals_reference(sweeps, poses, COARSE.model_copy(update=update))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("update", [{}, STEP])
 def test_labels_equal_plain_growing_on_real_sweeps(drive_0005, update):
     sweeps, poses = real_sweeps(drive_0005, range(40, 52, 4), stride=3, reach=25.0)

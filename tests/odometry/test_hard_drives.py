@@ -13,7 +13,7 @@ from docdepth.odometry.registration import Registration
 from docdepth.synthetic import write_drive
 from exact_drive import Drive, pose_errors
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 
 def registered(folder: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -128,6 +128,7 @@ def test_a_street_seen_again_is_one_map(ring: Ring, closed: np.ndarray) -> None:
     np.testing.assert_allclose(closed[0], np.eye(4), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_another_town_at_the_same_place_is_refused() -> None:
     """Poses stay what they are, to the last bit."""
     ring = Ring(later_town=5)

@@ -145,7 +145,7 @@ def test_a_system_that_does_not_tell_the_peak(monkeypatch: pytest.MonkeyPatch) -
     assert Timer().peak_memory_mb() >= told - 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_formula_tells_what_a_run_takes(drive_0005: Path, tmp_path: Path) -> None:
     sweeps, out = 40, tmp_path / "run"
     command = [sys.executable, "-m", "docdepth", "run", str(drive_0005), "-o", str(out)]

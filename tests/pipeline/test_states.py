@@ -229,7 +229,7 @@ def _lose(world: World, path: Path) -> None:
     )
 )
 @settings(
-    max_examples=int(os.environ.get("DOCDEPTH_EXAMPLES", "25")),
+    max_examples=int(os.environ.get("DOCDEPTH_EXAMPLES", "10")),
     deadline=None,
     derandomize=True,
     report_multiple_bugs=False,

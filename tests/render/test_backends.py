@@ -115,6 +115,7 @@ def test_a_forked_child_gets_an_error_and_the_parent_continues(gl):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="OpenGL on Linux only")
 def test_broken_libraries_are_named_and_the_cpu_renders(tmp_path):
     for name in ("libEGL.so.1", "libEGL.so", "libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so"):

@@ -159,6 +159,7 @@ def plain_state(target, sweeps, reach):
     return min(nearest, key=lambda corner: corner[0])[2], [corner[1] for corner in nearest]
 
 
+@pytest.mark.slow
 def test_states_equal_a_plain_search_of_all_rays():
     sweeps, frames, trajectory = street(n=3)
     exact, _ = true_depth()

@@ -230,6 +230,7 @@ def test_pedestrians_walk_on_moving_legs():
     assert np.abs(poses[1, :, :3, :3] - poses[0, :, :3, :3]).max() > 0.05
 
 
+@pytest.mark.slow
 def test_same_seed_same_drive_in_any_order_of_requests():
     sensor = synthetic.sensor("VLP-16")
     one = Drive(synthetic.scene("city", 3), sensor, 6, seed=5)

@@ -61,7 +61,8 @@ def run_odometry(
         if run.manifest.frames_deleted is not None:
             run.manifest.frames_deleted = stage = None
             run.save()
-        stage = stage or odometry_stage(run, dataset, poses)
+        first = dataset.sweep(0)
+        stage = stage or odometry_stage(run, dataset, poses, first)
         left, key = stage.left(), stage.made_of
         if not left and stage.is_made_once():
             return
@@ -78,9 +79,8 @@ def run_odometry(
                     threads,
                 )
             profile.findings += odometry.findings
-            rig = dataset.sweep(0).sensor_rig
-            if rig is not None:
-                run.write_sensors(rig, key)
+            if first.sensor_rig is not None:
+                run.write_sensors(first.sensor_rig, key)
             indices = np.arange(len(dataset))
             write_trajectory(run.trajectory_path, odometry.trajectory, indices, run.writer(key))
             _write_frames(run, odometry, left, key, profile, progress)

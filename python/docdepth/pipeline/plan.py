@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.base import Dataset
+from docdepth.datasets.base import Dataset, Sweep
 from docdepth.errors import RunError
 from docdepth.io.depth import DESCRIPTION
 from docdepth.io.run_folder import RunFolder, stage_key
@@ -28,10 +28,12 @@ def odometry_stage(
     run: RunFolder,
     recording: Dataset | None,
     poses: NDArray[np.float64] | None = None,
+    first: Sweep | None = None,
 ) -> Stage:
     """Poses, and deskewed sweeps as frames.
 
     Where the recording is None, since it lies on a disk that is away, it counts as unchanged.
+    ``first`` is its first sweep, which is read if absent.
     """
     own = {
         "version": _VERSIONS["odometry"],
@@ -42,7 +44,7 @@ def odometry_stage(
     if recording is None:
         made_of, count = {**run.made_of("odometry"), **own}, run.stage("odometry").all_frames
     else:
-        first, up, count = recording.sweep(0), run.manifest.derived.up, len(recording)
+        first, up, count = first or recording.sweep(0), run.manifest.derived.up, len(recording)
         rig = first.sensor_rig
         made_of = own | {
             "sweeps": inputs.sweeps(recording),
@@ -55,7 +57,9 @@ def odometry_stage(
                 *([up] if up else []),
             ),
         }
-    has_sensors = run.sensors_path.name in run.records(run.path)
+    has_sensors = first is not None and first.sensor_rig is not None
+    if recording is None:
+        has_sensors = run.sensors_path.name in run.records(run.path)
     changed = inputs.changed("sweeps")
     sweeps = f"sweeps have changed, {changed[0]} first" if changed else "sweeps have changed"
     others = {name: f"the {name} of the input have changed" for name in ("times", "poses", "rays")}
