@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from formats import WRITERS
 
 from docdepth.datasets import FrameRange, open_dataset
 from docdepth.errors import (
@@ -225,13 +223,3 @@ def test_a_copy_among_numbered_sweeps_is_named(copy: Path) -> None:
     shutil.copy(copy / "velodyne" / "000001.bin", copy / "velodyne" / "000001 (1).bin")
     with pytest.raises(SeveralProblems, match=r"none for 000001 \(1\)\.bin \(frame 2\)"):
         open_dataset(copy)
-
-
-def test_an_extrinsic_of_null_is_no_pose(tmp_path: Path) -> None:
-    written = WRITERS["nuScenes"][1](tmp_path).path
-    file = next(tmp_path.rglob("calibrated_sensor.json"))
-    rows = json.loads(file.read_text())
-    rows[0]["translation"][0] = None
-    file.write_text(json.dumps(rows))
-    with pytest.raises(DatasetError, match=r"calibrated_sensor.json, .* is no pose"):
-        open_dataset(written, dataset="nuscenes")

@@ -24,29 +24,6 @@ from docdepth.geometry.se3 import inverse
 from docdepth.io.poses import read_poses, write_kitti
 
 
-def test_raw_sweeps_come_as_they_are(raw: Path) -> None:
-    dataset = open_dataset(raw)
-    assert isinstance(dataset, Dataset)
-    assert (dataset.name, len(dataset), dataset.poses) == ("kitti_raw", 4, None)
-    file = raw / "velodyne_points" / "data" / "0000000002.bin"
-    rows = np.fromfile(file, "<f4").reshape(-1, 4)
-    sweep = dataset.sweep(2)
-    assert sweep.name == "0000000002"
-    assert sweep.points.dtype == np.float32
-    assert sweep.points.flags.c_contiguous
-    np.testing.assert_array_equal(sweep.points, rows[:, :3])
-    np.testing.assert_array_equal(sweep.intensity, rows[:, 3])
-    assert dataset.labels(2) is None
-
-
-def test_raw_stamps_are_exact_to_the_nanosecond(raw: Path) -> None:
-    dataset = open_dataset(raw)
-    # date -u -d '2011-09-26 13:02:25' +%s
-    expected = [1317042145 * 10**9 + k * 10**8 + 51199337 for k in range(4)]
-    assert dataset.times.tolist() == expected
-    assert dataset.sweep(3).time == expected[3]
-
-
 def test_raw_point_times_run_clockwise_from_behind() -> None:
     from docdepth.datasets.kitti_lidar import azimuth_relative_time
 
@@ -81,6 +58,9 @@ def test_raw_images_bring_their_own_times(raw: Path) -> None:
     assert [image.name for image in stream.images] == [f"{k:010d}.png" for k in range(3)]
     assert stream.times[1] - stream.times[0] == 10**8
     assert stream.times[0] - open_dataset(raw).times[0] == 3 * 10**7
+    (raw / "image_02" / "timestamps.txt").unlink()
+    with pytest.raises(DatasetError, match=r"image_02/timestamps\.txt is missing"):
+        open_dataset(raw)
 
 
 def test_a_missing_sweep_keeps_the_others_at_their_times(raw: Path) -> None:
@@ -184,12 +164,6 @@ def test_usable_points() -> None:
 # ---- the files of a sweep
 
 
-def test_files_of_a_sweep(raw: Path, sequence: Path) -> None:
-    data = raw / "velodyne_points" / "data"
-    assert open_dataset(raw).sweep_files(2) == [data / "0000000002.bin"]
-    assert open_dataset(sequence).sweep_files(1) == [sequence / "velodyne" / "000001.bin"]
-
-
 def test_files_of_a_sweep_of_two_lidars_with_times(sequence: Path) -> None:
     write_sweeps(sequence / "velodyne_2", 4, 6)
     with (sequence / "calib.txt").open("a") as calibration:
@@ -200,6 +174,35 @@ def test_files_of_a_sweep_of_two_lidars_with_times(sequence: Path) -> None:
     dataset = open_dataset(sequence)
     assert dataset.sweep_files(2) == [folder / "000002.bin" for folder in folders]
     assert dataset.sweep_files(1) == [folder / "000001.bin" for folder in folders[:2]]
+
+
+def test_layouts_are_named_with_hyphens_too(sequence: Path) -> None:
+    assert open_dataset(sequence, "kitti-odometry").name == "kitti_odometry"
+
+
+def test_image_size_that_does_not_fit(raw: Path) -> None:
+    file = raw.parent / "calib_cam_to_cam.txt"
+    text = file.read_text()
+    with pytest.raises(CalibrationError, match="1242 x 375 but the image size asked for is 640"):
+        open_dataset(raw, image_size=(640, 480))
+    file.write_text(text.replace("S_rect_02: 1.242000e+03 3.750000e+02\n", ""))
+    with pytest.raises(CalibrationError, match="by `image_size`"):
+        open_dataset(raw)
+    with pytest.raises(CalibrationError, match=r"principal point .* outside the 400 x 300"):
+        open_dataset(raw, image_size=(400, 300))
+    assert open_dataset(raw, image_size=(1242, 375)).cameras["image_02"].camera.width == 1242
+
+
+def test_folders_without_a_recording(raw: Path, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="not there"):
+        open_dataset(tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DatasetError, match=r"that docdepth reads \(kitti_raw, .*say by `dataset`"):
+        open_dataset(tmp_path / "empty")
+    with pytest.raises(DatasetError, match="unknown dataset 'lyft'; there are kitti_raw"):
+        open_dataset(raw, "lyft")
+    with pytest.raises(DatasetError, match=r"no recording of semantic_kitti .a sequence"):
+        open_dataset(raw, "semantic_kitti")
 
 
 # ---- the real drives

@@ -16,45 +16,6 @@ from made_up import DRIVE, K
 from docdepth.datasets import open_dataset, usable_points
 from docdepth.errors import CalibrationError, DatasetError
 
-STAMPED = ["MulRan", "NCLT", "HeLiPR, Ouster", "Boreas"]
-
-
-@pytest.mark.parametrize("what", STAMPED)
-def test_a_name_that_is_no_stamp(tmp_path: Path, what: str) -> None:
-    dataset = open_dataset(WRITERS[what][1](tmp_path).path)
-    (file,) = dataset.sweep_files(1)
-    file.rename(file.with_name("sweep.bin"))
-    with pytest.raises(DatasetError, match=r"sweep\.bin: the name is no number; names of sweeps"):
-        open_dataset(dataset.path)
-
-
-@pytest.mark.parametrize("what", STAMPED)
-def test_a_sweep_that_has_gone_is_named(tmp_path: Path, what: str) -> None:
-    dataset = open_dataset(WRITERS[what][1](tmp_path).path)
-    (file,) = dataset.sweep_files(1)
-    file.unlink()
-    with pytest.raises(DatasetError, match=rf"{file.name} \(frame 1\) is missing; copy"):
-        dataset.sweep(1)
-
-
-@pytest.mark.parametrize("what", STAMPED)
-def test_without_poses(tmp_path: Path, what: str) -> None:
-    path = WRITERS[what][1](tmp_path).path
-    names = ("global_pose.csv", "groundtruth_*.csv", "global_*_gt.txt", "lidar_poses.csv")
-    (table,) = (file for name in names for file in tmp_path.rglob(name))
-    table.unlink()
-    assert open_dataset(path).poses is None
-
-
-@pytest.mark.parametrize("what", STAMPED)
-def test_poses_of_another_day(tmp_path: Path, what: str) -> None:
-    path = WRITERS[what][1](tmp_path).path
-    names = ("global_pose.csv", "groundtruth_*.csv", "global_*_gt.txt", "lidar_poses.csv")
-    (table,) = (file for name in names for file in tmp_path.rglob(name))
-    table.write_text(table.read_text().replace("17000", "17100"))
-    with pytest.raises(DatasetError, match=rf"{table.name} has poses from .* recording\?"):
-        open_dataset(path)
-
 
 def test_times_of_mulrans_columns(tmp_path: Path) -> None:
     dataset = open_dataset(WRITERS["MulRan"][1](tmp_path).path)
@@ -149,27 +110,6 @@ def test_a_camera_of_boreas_without_images_fires_with_the_sweeps(tmp_path: Path)
     assert stream.names == open_dataset(path, image_size=(64, 48)).lidars["lidar"].names
     assert (stream.camera.width, stream.camera.height) == (64, 48)
     assert open_dataset(path).cameras["camera"].camera.width == 2448
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "error"),
-    [
-        ("P_camera.txt", "1 2 3", "must be a matrix of 3 x 4"),
-        ("P_camera.txt", "a b", "is no matrix of numbers"),
-        ("T_camera_lidar.txt", "1 0 0 0", "must be 16 numbers"),
-        ("T_camera_lidar.txt", None, "is missing; download calib"),
-    ],
-)
-def test_a_broken_calibration_of_boreas(
-    tmp_path: Path, name: str, text: str | None, error: str
-) -> None:
-    path = WRITERS["Boreas"][1](tmp_path).path
-    file = path / "calib" / name
-    file.unlink()
-    if text is not None:
-        file.write_text(text)
-    with pytest.raises(CalibrationError, match=f"{name} {error}"):
-        open_dataset(path)
 
 
 @pytest.mark.parametrize("what", ["MulRan", "NCLT", "HeLiPR, Ouster"])

@@ -13,7 +13,7 @@ from made_up import DRIVE
 
 from docdepth.datasets import open_dataset
 from docdepth.datasets.formats.pandaset import T_camera_lidar, read_table
-from docdepth.errors import DatasetError, DocDepthError
+from docdepth.errors import DatasetError
 from docdepth.geometry.se3 import inverse
 
 
@@ -82,19 +82,3 @@ def test_a_sweep_of_pandaset_that_is_no_table(pandaset: Path, content: bytes) ->
     (pandaset / "lidar" / "01.pkl.gz").write_bytes(content)
     with pytest.raises(DatasetError, match=r"01\.pkl\.gz \(frame 1\) .*table of pandas"):
         open_dataset(pandaset).sweep(1)
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "error"),
-    [
-        ("poses.json", "[]", "poses.json has 0 entries for 5 sweeps"),
-        ("poses.json", "[1, 2, 3, 4, 5]", "poses.json, entry 0 is no pose"),
-        ("timestamps.json", "[1, 2, 3, 3, 4]", "timestamps.json: the time of frame 3"),
-        ("timestamps.json", '[1, 2, 3, 3.5, "x"]', "timestamps.json must be seconds"),
-        ("intrinsics.json", "{}", "intrinsics.json has no fx"),
-    ],
-)
-def test_a_broken_table_of_pandaset(pandaset: Path, name: str, content: str, error: str) -> None:
-    (pandaset / "camera" / "front_camera" / name).write_text(content)
-    with pytest.raises(DocDepthError, match=error):
-        open_dataset(pandaset)

@@ -1,0 +1,149 @@
+"""Every broken file of a recording ends in an error of its class that names the file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from formats import WRITERS
+from kitti_drives import R_VELO, T_VELO, numbers
+
+from docdepth.datasets import open_dataset
+from docdepth.errors import CalibrationError, DatasetError
+
+Change = Callable[[Path], object]
+
+
+def gone(file: Path) -> None:
+    file.unlink()
+
+
+def text(content: str) -> Change:
+    return lambda file: file.write_text(content)
+
+
+def lines(*chosen: int | str) -> Change:
+    """The file has these of its lines, or others."""
+
+    def change(file: Path) -> None:
+        known = file.read_text().splitlines()
+        new = [line if isinstance(line, str) else known[line] for line in chosen]
+        file.write_text("\n".join(new) + "\n")
+
+    return change
+
+
+def swap(old: str, new: str) -> Change:
+    return lambda file: file.write_text(file.read_text().replace(old, new))
+
+
+def named(name: str) -> Change:
+    return lambda file: file.rename(file.with_name(name))
+
+
+def extrinsics(change: Callable[[np.ndarray], np.ndarray]) -> Change:
+    wrong = change(np.hstack([R_VELO, T_VELO[:, None]]))
+
+    def write(file: Path) -> None:
+        if file.name == "calib.txt":
+            file.write_text(file.read_text().rpartition("Tr:")[0] + f"Tr: {numbers(wrong)}\n")
+        else:
+            file.write_text(f"R: {numbers(wrong[:, :3])}\nT: {numbers(wrong[:, 3])}\n")
+
+    return write
+
+
+D, C = DatasetError, CalibrationError
+STAMPS = "velodyne_points/timestamps.txt"
+# Format, file, what happens to it, class of the error, what it tells besides the name of the file.
+BROKEN: list[tuple[str, str, Change, type, str]] = [
+    ("kitti_raw", STAMPS, lines(0, 1, 2), D, "0000000003.bin"),
+    ("kitti_raw", STAMPS, lines(0, 2, 1, 3, 4), D, "frame 2 (0000000002.bin)"),
+    ("kitti_raw", STAMPS, lines(0, 0, 2, 3, 4), D, "frame 1"),
+    ("kitti_raw", STAMPS, lines(0, "noon", 2, 3, 4), D, "line 2: 'noon'"),
+    ("kitti_raw", STAMPS, lines(0, "", 2, 3, 4), D, "line 2: ''"),
+    ("kitti_raw", STAMPS, gone, D, "missing"),
+    ("kitti_raw", "calib_cam_to_cam.txt", gone, C, "missing"),
+    ("kitti_raw", "calib_cam_to_cam.txt", swap("R_rect_00", "R_rect_01"), C, "R_rect_00"),
+    ("kitti_raw", "calib_cam_to_cam.txt", swap("P_rect_02: ", "P_rect_02: nan "), C, "P_rect_02"),
+    ("kitti_raw", "calib_cam_to_cam.txt", swap("P_rect_02", "P_rect_09"), C, "no camera"),
+    ("kitti_raw", "calib_cam_to_cam.txt", swap("S_rect_02", "S_rect_09"), C, "`image_size`"),
+    ("kitti_raw", "calib_velo_to_cam.txt", gone, C, "missing"),
+    ("kitti_raw", "calib_velo_to_cam.txt", extrinsics(lambda T: T[[1, 0, 2]]), C, "rotation"),
+    ("kitti_raw", "calib_velo_to_cam.txt", extrinsics(lambda T: T * (1, 1, 1, 1000)), C, " m "),
+    ("kitti_raw", "0000000002.bin", text(""), D, "(frame 2)"),
+    ("kitti_odometry", "03/times.txt", lines(0, 1, 2, 3), D, "000004.bin (frame 4)"),
+    ("kitti_odometry", "03/times.txt", lines(0, 1, 1, 3, 4), D, "frame 2 (000002.bin)"),
+    ("kitti_odometry", "03/times.txt", lines(0, 1, "x", 3, 4), D, "line 3: 'x'"),
+    ("kitti_odometry", "03/times.txt", lines(0, 1, "nan", 3, 4), D, "line 3: 'nan'"),
+    ("kitti_odometry", "image_2/times.txt", lines(0, 1), D, "000002.png"),
+    ("kitti_odometry", "calib.txt", gone, C, "missing"),
+    ("kitti_odometry", "calib.txt", extrinsics(lambda T: T + np.eye(3, 4) * 5), C, "'Tr:'"),
+    ("kitti_odometry", "calib.txt", extrinsics(lambda T: 0 * T), C, "'Tr:'"),
+    ("kitti_odometry", "velodyne/000002.bin", text(""), D, "(frame 2)"),
+    ("KITTI-360", "calib_cam_to_velo.txt", text("1 2 3"), C, "16 numbers"),
+    ("KITTI-360", "calib_cam_to_velo.txt", text("a b c"), C, "16 numbers"),
+    ("KITTI-360", "calib_cam_to_velo.txt", gone, C, "missing"),
+    ("KITTI-360", "calib_cam_to_pose.txt", text("image_01: 1 2"), C, "image_00"),
+    ("KITTI-360", "perspective.txt", text("P_rect_02: 1"), C, "no camera"),
+    ("KITTI-360", "perspective.txt", gone, C, "missing"),
+    ("KITTI-360", "0000000004.bin", named("0000000003 (1).bin"), D, ""),
+    ("KITTI-360", STAMPS, lines(0, 1, 2), D, "3 stamps for 5 files"),
+    ("KITTI-360", "poses.txt", text(f"77 {numbers(np.eye(4)[:3])}\n"), D, ""),
+    ("MulRan", "Ouster/17*.bin", named("sweep.bin"), D, "sweep.bin"),
+    ("MulRan", "global_pose.csv", swap("17000", "17100"), D, ""),
+    ("NCLT", "groundtruth_*.csv", swap("17000", "17100"), D, ""),
+    ("HeLiPR, Ouster", "global_*_gt.txt", swap("17000", "17100"), D, ""),
+    ("Boreas", "lidar_poses.csv", swap("17000", "17100"), D, ""),
+    ("Boreas", "P_camera.txt", text("1 2 3"), C, "3 x 4"),
+    ("Boreas", "P_camera.txt", text("a b"), C, "numbers"),
+    ("Boreas", "T_camera_lidar.txt", text("1 0 0 0"), C, "16 numbers"),
+    ("Boreas", "T_camera_lidar.txt", gone, C, "missing"),
+    ("PandaSet", "front_camera/poses.json", text("[]"), D, "0 entries for 5 sweeps"),
+    ("PandaSet", "front_camera/poses.json", text("[1, 2, 3, 4, 5]"), D, "entry 0"),
+    ("PandaSet", "front_camera/timestamps.json", text("[1, 2, 3, 3, 4]"), D, "frame 3"),
+    ("PandaSet", "front_camera/timestamps.json", text('[1, 2, 3, 4, "x"]'), D, "seconds"),
+    ("PandaSet", "front_camera/intrinsics.json", text("{}"), C, "fx"),
+    ("nuScenes", "calibrated_sensor.json", swap('"translation": [', '"translation": [null, '), D,
+     "no pose"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("what", "pattern", "change", "error", "told"),
+    BROKEN,
+    ids=[f"{row[0]} {row[1].rpartition('/')[2]} {k}" for k, row in enumerate(BROKEN)],
+)
+def test_it_is_named(
+    what: str, pattern: str, change: Change, error: type, told: str, tmp_path: Path
+) -> None:
+    path = WRITERS[what][1](tmp_path).path
+    file = min(tmp_path.rglob(pattern))
+    before = set(tmp_path.rglob("*"))
+    change(file)
+    new = set(tmp_path.rglob("*")) - before
+    with pytest.raises(error) as caught:
+        open_dataset(path)
+    assert (new.pop() if new else file).name in str(caught.value)
+    assert told in str(caught.value)
+
+
+@pytest.mark.parametrize("what", ["kitti_raw", "kitti_odometry", "MulRan", "nuScenes"])
+def test_a_sweep_that_went_after_the_recording_was_opened(what: str, tmp_path: Path) -> None:
+    dataset = open_dataset(WRITERS[what][1](tmp_path).path)
+    (file, *_) = dataset.sweep_files(2)
+    file.unlink()
+    with pytest.raises(DatasetError) as caught:
+        dataset.sweep(2)
+    assert file.name in str(caught.value)
+
+
+@pytest.mark.parametrize("what", ["MulRan", "NCLT", "HeLiPR, Ouster", "Boreas"])
+def test_poses_may_be_left_out(what: str, tmp_path: Path) -> None:
+    path = WRITERS[what][1](tmp_path).path
+    names = ("global_pose.csv", "groundtruth_*.csv", "global_*_gt.txt", "lidar_poses.csv")
+    (table,) = (file for name in names for file in tmp_path.rglob(name))
+    table.unlink()
+    assert open_dataset(path).poses is None
