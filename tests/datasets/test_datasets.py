@@ -127,7 +127,7 @@ def test_raw_sequence_with_point_times_and_a_camera_between_sweeps(sequence: Pat
     assert dataset.cameras["image_2"].times.tolist() == [50_000_000, 150_000_000]
     assert dataset.cameras["image_2"].names == ["000000", "000001"]
     (sequence / "docdepth.yaml").write_text("motion_compensate: false\n")
-    with pytest.raises(DatasetError, match=r"motion_compensate is unknown .*motion_compensated"):
+    with pytest.raises(DatasetError, match="motion_compensate is unknown"):
         open_dataset(sequence)
     (sequence / "docdepth.yaml").write_text("motion_compensated: true\n")
     np.testing.assert_array_equal(open_dataset(sequence).sweep(0).relative_time, relative_time)

@@ -14,7 +14,7 @@ from writers import WRITERS, folder_rows, settings, write_beside, write_pcd
 
 from docdepth.datasets import open_dataset
 from docdepth.datasets.formats.cloud_folder import cloud_files
-from docdepth.datasets.stamps import time_of_name, times_of_files
+from docdepth.datasets.times import time_of_name, times_of_files
 from docdepth.errors import DatasetError, DocDepthError
 from docdepth.geometry.se3 import poses_from, rotation_exp
 from docdepth.geometry.trajectory import Trajectory

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from docdepth.datasets.base import CameraStream, Dataset, ImageStream, LidarStream, Sweep
 from docdepth.datasets.format import Format
-from docdepth.datasets.frame_range import FrameRange, full_recording
-from docdepth.datasets.image_streams import image_streams
+from docdepth.datasets.frame_range import FrameRange, full_recording, image_streams
 from docdepth.datasets.registry import (
     experimental_formats,
     find_recordings,

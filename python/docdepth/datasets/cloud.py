@@ -56,6 +56,24 @@ class LidarReader(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class SweepFiles:
+    """The sweeps of one LiDAR, a file each; formats add how a file is read.
+
+    Attributes
+    ----------
+    stream : LidarStream
+    sweeps : list of Path
+    """
+
+    stream: LidarStream
+    sweeps: list[Path]
+
+    def files(self, index: int) -> list[Path]:
+        """The file of own sweep ``index``."""
+        return [self.sweeps[index]]
+
+
 def cloud_from_fields(rows: NDArray[Any], where: str) -> Cloud:
     """A cloud from rows with named fields.
 

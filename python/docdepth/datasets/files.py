@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import DatasetError
 from docdepth.io.images import decode_image
+from docdepth.io.yaml_json import parse_json
 
 FILE = "docdepth.yaml"
 """What the files of a recording do not tell."""
@@ -74,6 +76,20 @@ def read_lines(file: Path, remedy: str) -> list[str]:
         return read_bytes(file, remedy).decode("utf-8-sig").rstrip().splitlines()
     except UnicodeDecodeError:
         raise DatasetError(f"{file} is not a text file; {remedy}") from None
+
+
+def read_json(file: Path, remedy: str) -> Any:
+    """The content of a JSON file.
+
+    Raises
+    ------
+    DatasetError
+        The file cannot be read, or is not JSON.
+    """
+    try:
+        return parse_json(read_bytes(file, remedy))
+    except ValueError as error:
+        raise DatasetError(f"{file} is not whole JSON ({error}); {remedy}") from None
 
 
 def read_image(file: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[np.uint8]:

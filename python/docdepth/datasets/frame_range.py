@@ -20,6 +20,7 @@ from docdepth.datasets.base import (
     LidarStream,
     Sweep,
 )
+from docdepth.datasets.point_times import nearest_rows
 from docdepth.errors import DatasetError
 
 _Stream = TypeVar("_Stream", CameraStream, ImageStream)
@@ -97,7 +98,7 @@ class FrameRange(DatasetRepr):
         """A camera of the recording, cut to a sweep before the first and after the last one."""
         kept = self._within(stream.times)
         broken = self._without_images.get(stream.name, ())
-        near = self._nearest_sweep(stream.times[kept])
+        near = nearest_rows(self.whole.times, stream.times[kept]).tolist()
         names = [stream.names[k] for k in kept]
         whole = [n not in self._without and name not in broken
                  for n, name in zip(near, names, strict=True)]  # fmt: skip
@@ -123,15 +124,6 @@ class FrameRange(DatasetRepr):
         begin, end = self.times[0] - margin, self.times[-1] + margin
         return np.flatnonzero((times >= begin) & (times <= end))
 
-    def _nearest_sweep(self, times: NDArray[np.int64]) -> list[int]:
-        """The sweep of the whole recording that is nearest to each time."""
-        stamps = self.whole.times
-        after = np.searchsorted(stamps, times).clip(0, len(stamps) - 1)
-        before = (after - 1).clip(0)
-        nearer = np.abs(times - stamps[before]) < np.abs(stamps[after] - times)
-        nearest: list[int] = np.where(nearer, before, after).tolist()
-        return nearest
-
 
 def _parse(frames: str, count: int, path: Path) -> range:
     match = re.fullmatch(r"\s*(\d*)\s*:\s*(\d*)\s*", frames, re.ASCII)
@@ -152,3 +144,18 @@ def _parse(frames: str, count: int, path: Path) -> range:
 def full_recording(recording: Dataset) -> Dataset:
     """The recording that this is a part of, or itself."""
     return recording.whole if isinstance(recording, FrameRange) else recording
+
+
+def image_streams(recording: Dataset) -> dict[str, ImageStream]:
+    """All images of a recording by camera, also of cameras that are not calibrated yet."""
+    if isinstance(recording, FrameRange):
+        streams = image_streams(recording.whole)
+        return {name: recording.part_of(stream) for name, stream in streams.items()}
+    found = {
+        name: ImageStream(
+            name, s.times, s.names, s.images, s.camera, s.distortion, s.model
+        )
+        for name, s in recording.cameras.items()
+        if s.images
+    }  # fmt: skip
+    return found | getattr(recording, "uncalibrated", {})

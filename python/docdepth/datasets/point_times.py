@@ -192,6 +192,14 @@ def median_period(times: NDArray[np.int64]) -> int | None:
     return int(np.median(np.diff(times))) if len(times) > 1 else None
 
 
+def nearest_rows(stamps: NDArray[np.int64], times: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Row of the ascending stamps that is nearest to each time, the later one of two."""
+    after = np.searchsorted(stamps, times).clip(0, len(stamps) - 1)
+    before = (after - 1).clip(0)
+    nearer = np.abs(times - stamps[before]) < np.abs(stamps[after] - times)
+    return np.where(nearer, before, after)
+
+
 def _finite(sample: TimeSample) -> TimeSample:
     values = sample.values
     if values.dtype.kind == "f":

@@ -7,6 +7,7 @@ where the vehicle stood or where the satellites were lost.
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
 from math import isfinite
 from pathlib import Path
@@ -21,6 +22,7 @@ from docdepth.geometry.se3 import (
     inverse,
     nearest_rigid,
     poses_from,
+    quaternion_to_matrix,
     rotation_exp,
     se3_exp,
     se3_log,
@@ -253,3 +255,23 @@ def _checked(poses: NDArray[np.float64], file: Path) -> NDArray[np.float64]:
     except InputError as error:
         raise DatasetError(f"{file}: {error}") from None
     return poses
+
+
+def pose_of(
+    quaternion: Sequence[float], translation: Sequence[float], where: str
+) -> NDArray[np.float64]:
+    """A pose (4, 4) of a quaternion w x y z and a translation in metres.
+
+    Raises
+    ------
+    DatasetError
+        They are no pose.
+    """
+    try:
+        w, x, y, z = (float(value) for value in quaternion)
+        position = [float(value) for value in translation]
+        if not np.isfinite(position).all():
+            raise ValueError(f"its translation is {position}")
+        return poses_from([quaternion_to_matrix([x, y, z, w])], [position])[0]
+    except (InputError, ValueError, TypeError) as error:
+        raise DatasetError(f"{where} is no pose ({error}); restore the file") from None

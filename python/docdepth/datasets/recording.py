@@ -12,9 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import kitti_lidar
-from docdepth.datasets.base import CameraStream, DatasetRepr, ImageStream, LidarStream, Sweep
+from docdepth.datasets.base import (
+    CameraStream,
+    DatasetRepr,
+    ImageStream,
+    LidarStream,
+    Sweep,
+    without_ego,
+)
 from docdepth.datasets.cloud import Cloud, LidarReader
-from docdepth.datasets.ego import without_ego
 from docdepth.datasets.files import settings_file
 from docdepth.datasets.point_times import (
     USUAL_PERIOD,
@@ -24,6 +30,7 @@ from docdepth.datasets.point_times import (
     Unit,
     find_point_times,
     median_period,
+    nearest_rows,
 )
 from docdepth.datasets.pose_tables import whole_poses
 from docdepth.datasets.readable_frames import readable
@@ -53,7 +60,7 @@ class RecordingOptions:
     world : bool
         Points are in the frame of the poses; they are brought to the LiDAR frame.
     ego_boxes : sequence of six numbers
-        Boxes around the vehicle itself, see :func:`~.ego.without_ego`.
+        Boxes around the vehicle itself, see :func:`~.base.without_ego`.
     sweep_duration : float, optional
         Seconds of a sweep: those of the recording are joined or cut, see :mod:`.resampled`.
     up : tuple of float, optional
@@ -217,12 +224,9 @@ class Recording(DatasetRepr):
 
     def _find_partners(self, other: LidarStream) -> NDArray[np.int64]:
         """For each sweep the nearest one of another LiDAR; -1 where there is none."""
-        after = np.searchsorted(other.times, self.times).clip(0, max(len(other.times) - 1, 0))
-        before = (after - 1).clip(0)
         if not len(other.times):
             return np.full(len(self), -1)
-        nearer = np.abs(other.times[before] - self.times) < np.abs(other.times[after] - self.times)
-        nearest = np.where(nearer, before, after)
+        nearest = nearest_rows(other.times, self.times)
         if self._period is not None:
             far = np.abs(other.times[nearest] - self.times) > _TOGETHER * self._period
             nearest = np.where(far, -1, nearest)

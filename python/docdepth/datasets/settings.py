@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
 
 from docdepth.datasets.files import is_there, read_image, read_lines, settings_file
 from docdepth.datasets.point_times import Instant, Unit
@@ -42,6 +42,15 @@ def _boxes(value: Any) -> Any:
     if isinstance(value, list) and len(value) == 3 and all(np.shape(row) == (2,) for row in value):
         return [value]
     return value
+
+
+def _three(value: Any) -> NDArray[np.float64]:
+    """Three numbers; NaN of what is none."""
+    try:
+        numbers = np.array(value, np.float64)
+    except (TypeError, ValueError):
+        return np.full(3, np.nan)
+    return numbers if numbers.shape == (3,) else np.full(3, np.nan)
 
 
 class Strict(BaseModel):
@@ -121,24 +130,21 @@ class EgoSettings(Strict):
     ego_boxes: Annotated[list[Numbers], BeforeValidator(_boxes)] = Field(default_factory=list)
     masks: dict[str, str | list[tuple[float, float]]] = Field(default_factory=dict)
 
-    def check(self, file: Path) -> None:
-        """Refuse what is no box.
-
-        Raises
-        ------
-        DatasetError
-        """
-        for box in self.ego_boxes:
+    @field_validator("ego_boxes")
+    @classmethod
+    def _are_boxes(cls, boxes: list[list[float]]) -> list[list[float]]:
+        for box in boxes:
             low, high = np.array(box).reshape(3, 2).T if len(box) == 6 else (np.zeros(3),) * 2
             if not ((low < high) & (np.abs([low, high]) < _MOST_METRES).all(axis=0)).all():
-                raise DatasetError(
-                    f"{file}: ego_boxes must be boxes [[x, x], [y, y], [z, z]], least and greatest "
+                raise ValueError(
+                    "ego_boxes must be boxes [[x, x], [y, y], [z, z]], least and greatest "
                     f"coordinates in metres; got {box}"
                 )
+        return boxes
 
 
-class RecordingSettings(EgoSettings):
-    """Entries that formats without layouts of their own take.
+class MountSettings(EgoSettings):
+    """What is known of the sweeps and of how the LiDAR stands.
 
     Attributes
     ----------
@@ -148,6 +154,35 @@ class RecordingSettings(EgoSettings):
         Where the rays of the LiDAR begin, metres in the frame of its points.
     up : (float, float, float), optional
         Direction that points up, in the frame of the points.
+    """
+
+    motion_compensated: bool | None = None
+    sensor_origin: tuple[float, float, float] | None = None
+    up: tuple[float, float, float] | None = None
+
+    @field_validator("sensor_origin", mode="before")
+    @classmethod
+    def _is_place(cls, place: Any) -> Any:
+        if place is not None and not np.linalg.norm(_three(place), np.inf) < _MOST_METRES:
+            raise ValueError(f"sensor_origin must be [x, y, z] in metres, got {place}")
+        return place
+
+    @field_validator("up", mode="before")
+    @classmethod
+    def _is_direction(cls, up: Any) -> Any:
+        if up is not None and not 1e-3 < np.linalg.norm(_three(up)) < 1e3:
+            raise ValueError(
+                "up must be [x, y, z], the direction that points up in the frame of the points, as "
+                f"in [0, -1, 0]; got {up}"
+            )
+        return up
+
+
+class RecordingSettings(MountSettings):
+    """Entries that formats without layouts of their own take.
+
+    Attributes
+    ----------
     stamp : {"start", "middle", "end"}, optional
         Which instant of a sweep its time is.
     point_time_unit : {"s", "ms", "us", "ns"}, optional
@@ -158,9 +193,6 @@ class RecordingSettings(EgoSettings):
         a bag: odometry, poses, a path, or transforms.
     """
 
-    motion_compensated: bool | None = None
-    sensor_origin: tuple[float, float, float] | None = None
-    up: tuple[float, float, float] | None = None
     stamp: Instant | None = None
     point_time_unit: Unit | None = None
     sweep_duration: float | None = Field(None, ge=0.01, le=10)
@@ -178,16 +210,6 @@ class RecordingSettings(EgoSettings):
             self.sweep_duration,
             self.up,
         )
-
-    def check(self, file: Path) -> None:
-        """Refuse what is no box and no place."""
-        super().check(file)
-        place = self.sensor_origin
-        if place is not None and not all(abs(x) < _MOST_METRES for x in place):
-            raise DatasetError(
-                f"{file}: sensor_origin must be [x, y, z] in metres, got {list(place)}"
-            )
-        check_up(self.up, file)
 
 
 _Settings = TypeVar("_Settings", bound=EgoSettings)
@@ -223,8 +245,7 @@ def read_settings(
         known = {**(usual or {}), **given} if isinstance(given, dict) else given or usual or {}
         settings = model.model_validate(known)
     except ValidationError as error:
-        raise DatasetError(f"{file}: {reasons(error, model)}") from None
-    settings.check(file)
+        raise DatasetError(f"{file}: {_reasons(error, model)}") from None
     return settings, file
 
 
@@ -275,24 +296,6 @@ def camera_mask(camera: Camera, mask: Path | list[tuple[float, float]]) -> NDArr
     return hidden == 0
 
 
-def check_up(up: object, file: Path) -> None:
-    """Refuse an entry ``up`` that is no direction.
-
-    Raises
-    ------
-    DatasetError
-    """
-    if up is None:
-        return
-    numbers = up if isinstance(up, (list, tuple)) else ()
-    known = len(numbers) == 3 and all(isinstance(x, (int, float)) for x in numbers)
-    if not known or not 1e-3 < np.linalg.norm(np.array(numbers, np.float64)) < 1e3:
-        raise DatasetError(
-            f"{file}: up must be [x, y, z], the direction that points up in the frame of the "
-            f"points, as in [0, -1, 0]; got {up}"
-        )
-
-
 def transform(numbers: list[float] | None, where: str) -> NDArray[np.float64]:
     """A rigid transform (4, 4) of 12 or 16 numbers, row by row.
 
@@ -318,13 +321,15 @@ def transform(numbers: list[float] | None, where: str) -> NDArray[np.float64]:
     return nearest if np.abs(nearest - T).max() > _WHOLE else T
 
 
-def reasons(error: ValidationError, model: type[EgoSettings]) -> str:
+def _reasons(error: ValidationError, model: type[EgoSettings]) -> str:
     """What is wrong with entries of a model."""
     unknown, reasons = [], []
     for one in error.errors():
         entry = ".".join(str(part) for part in one["loc"])
         if one["type"] == "extra_forbidden" and len(one["loc"]) == 1:
             unknown.append(entry)
+        elif one["type"] == "value_error":
+            reasons.append(str(one["ctx"]["error"]))
         elif one["type"] == "extra_forbidden":
             reasons.append(f"{entry} is unknown")
         elif entry:

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import LidarStream
-from docdepth.datasets.cloud import Cloud, cloud_from_fields
+from docdepth.datasets.cloud import Cloud, SweepFiles, cloud_from_fields
 from docdepth.datasets.files import unreadable
 from docdepth.datasets.kitti_files import in_order
-from docdepth.datasets.stamps import times_of_names
+from docdepth.datasets.times import times_of_names
 from docdepth.errors import DatasetError
 
 NANOSECOND, MICROSECOND = 1, 1000
@@ -28,13 +28,11 @@ def packed(**fields: str) -> np.dtype[Any]:
 
 
 @dataclass(frozen=True)
-class StampedLidar:
-    """A LiDAR with a file of rows for each sweep.
+class StampedLidar(SweepFiles):
+    """Sweeps of rows of fixed fields.
 
     Attributes
     ----------
-    stream : LidarStream
-    sweeps : list of Path
     rows : dtype
         Of a row, see :func:`packed`.
     cloud : callable
@@ -42,8 +40,6 @@ class StampedLidar:
         be sent to other processes.
     """
 
-    stream: LidarStream
-    sweeps: list[Path]
     rows: np.dtype[Any]
     cloud: Callable[[NDArray[Any], str], Cloud] = cloud_from_fields
 
@@ -63,10 +59,6 @@ class StampedLidar:
                 f"another LiDAR; {_COPY}"
             )
         return self.cloud(np.frombuffer(content, self.rows), where)
-
-    def files(self, index: int) -> list[Path]:
-        """Its file."""
-        return [self.sweeps[index]]
 
 
 def stamped_lidar(

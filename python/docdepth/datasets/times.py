@@ -1,7 +1,8 @@
-"""Times of images or sweeps from text files, exact to the nanosecond."""
+"""Times of images or sweeps: from text files or from names of files, exact to the nanosecond."""
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
@@ -10,11 +11,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.files import read_lines
+from docdepth.datasets.files import is_there, read_lines
 from docdepth.datasets.kitti_files import check_increasing, match_rows
 from docdepth.errors import DatasetError
 
 _MOST_SECONDS = (1 << 63) // 10**9  # int64 holds 292 years of nanoseconds
+_UNITS = {19: 1, 16: 10**3, 13: 10**6, 10: 10**9}
+"""Nanoseconds of one count, by the digits of a time since 1970."""
+_SECONDS = re.compile(r"(?<!\d)([1-9]\d{9})[._](\d{1,9})$")
+_TABLES = ("times.txt", "timestamps.txt")
 
 
 def read_times(path: Path) -> NDArray[np.int64]:
@@ -92,3 +97,89 @@ def _nanoseconds(text: str, line: int, path: Path) -> int:
             f"{path}, line {line}: {text!r} is no time; write seconds, or dates like "
             "2011-09-26 13:02:25.951199337"
         ) from None
+
+
+def times_of_files(
+    files: Sequence[Path], table: str | None, folder: Path, remedy: str
+) -> NDArray[np.int64]:
+    """Nanoseconds of each file, strictly increasing.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        In order.
+    table : str, optional
+        File with a line for each, relative to ``folder``, or ``names``. If left out, a table beside
+        the files or their folder is taken, else their names.
+    folder : Path
+    remedy : str
+        What to do where nothing tells the times.
+
+    Raises
+    ------
+    DatasetError
+        Nothing tells them, a file has no time, or they do not increase.
+    """
+    if table not in (None, "names"):
+        return read_times_of(files, folder / str(table), "times", remedy)
+    if table is None:
+        near = files[0].parent
+        places = [near / name for name in _TABLES]
+        places += [near.parent / name for name in _TABLES if near != folder]
+        for place in places:
+            if is_there(place):
+                return read_times_of(files, place, "times", remedy)
+    digits = _digits_of_fractions(files)
+    stamps = [time_of_name(file.stem, digits) for file in files]
+    times = np.array([stamp for stamp in stamps if stamp is not None], np.int64)
+    if len(times) < len(files):
+        name = next(file.name for file, stamp in zip(files, stamps, strict=True) if stamp is None)
+        raise DatasetError(f"{files[0].parent}: nothing tells the time of {name}; {remedy}")
+    check_increasing(times, [file.name for file in files], files[0].parent)
+    return times
+
+
+def times_of_names(files: Sequence[Path], unit: int, remedy: str) -> NDArray[np.int64]:
+    """Nanoseconds of files whose names are numbers of ``unit`` nanoseconds.
+
+    Raises
+    ------
+    DatasetError
+        A name is no number, or two are one.
+    """
+    for file in files:
+        if not (file.stem.isascii() and file.stem.isdigit()):
+            raise DatasetError(f"{file}: the name is no number; {remedy}")
+    times = np.array([int(file.stem) for file in files], np.int64) * unit
+    if files:
+        check_increasing(times, [file.name for file in files], files[0].parent)
+    return times
+
+
+def _digits_of_fractions(files: Sequence[Path]) -> int:
+    """Digits behind the ``_`` of names: 3 or 6 if all have so many, else 9."""
+    parts = [_SECONDS.search(file.stem) for file in files]
+    digits = {len(found[2]) if found and "_" in found[0] else 0 for found in parts}
+    return digits.pop() if len(files) > 1 and digits in ({3}, {6}) else 9
+
+
+def time_of_name(stem: str, digits: int = 9) -> int | None:
+    """Nanoseconds since 1970 in a name: a whole number, or seconds and a fraction.
+
+    ``1673400678101968885``, ``1547131046260961``, ``1583836591.18`` and
+    ``cloud_1583836591_182590976`` are understood. A number that begins with 0 only counts.
+
+    Parameters
+    ----------
+    stem : str
+    digits : int
+        9: what follows ``_`` are nanoseconds, as ROS writes them without leading zeros; 6:
+        microseconds; 3: milliseconds.
+    """
+    parts = _SECONDS.search(stem)
+    if parts:
+        fraction = parts[2].ljust(9, "0") if "." in parts[0] else parts[2] + "0" * (9 - digits)
+        return int(parts[1]) * 10**9 + int(fraction)
+    whole = re.search(r"(?<!\d)([1-9]\d+)$", stem)
+    unit = _UNITS.get(len(whole[1])) if whole else None
+    return int(whole[1]) * unit if whole and unit else None

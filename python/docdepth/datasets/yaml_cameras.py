@@ -15,8 +15,7 @@ from docdepth.datasets.cloud import LidarReader
 from docdepth.datasets.kitti_files import image_files, image_size
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import CameraSettings, RecordingSettings
-from docdepth.datasets.stamps import times_of_files
-from docdepth.datasets.times import read_times
+from docdepth.datasets.times import read_times, times_of_files
 from docdepth.errors import CalibrationError, Collector, DatasetError
 
 log = logging.getLogger(__name__)

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
-from docdepth.datasets.cloud import Cloud, cloud_from_fields
+from docdepth.datasets.cloud import Cloud, SweepFiles, cloud_from_fields
 from docdepth.datasets.files import unreadable
 from docdepth.datasets.format import Format
-from docdepth.datasets.json_files import pose_of
 from docdepth.datasets.kitti_files import image_files, in_order
+from docdepth.datasets.pose_tables import pose_of
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
-from docdepth.datasets.stamps import times_of_names
+from docdepth.datasets.times import times_of_names
 from docdepth.errors import CalibrationError, DatasetError, MissingExtraError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse
@@ -30,18 +30,9 @@ _COLUMNS = ("x", "y", "z", "intensity", "laser_number", "offset_ns")
 
 
 @dataclass(frozen=True)
-class ArgoverseLidar:
-    """One of the two LiDARs of a log, whose sweeps are in one file.
+class ArgoverseLidar(SweepFiles):
+    """One of the two LiDARs of a log, whose sweeps are in one file; ``T_ego_sensor`` is (4, 4)."""
 
-    Attributes
-    ----------
-    stream : LidarStream
-    sweeps : list of Path
-    T_ego_sensor : ndarray of float64, shape (4, 4)
-    """
-
-    stream: LidarStream
-    sweeps: list[Path]
     T_ego_sensor: NDArray[np.float64]
 
     def read(self, index: int) -> Cloud:
@@ -61,10 +52,6 @@ class ArgoverseLidar:
         T = inverse(self.T_ego_sensor)
         points = cloud.points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
         return Cloud(points.astype(np.float32), cloud.intensity, cloud.ring, cloud.times)
-
-    def files(self, index: int) -> list[Path]:
-        """Its file."""
-        return [self.sweeps[index]]
 
 
 class Argoverse2(Recording):

@@ -24,7 +24,7 @@ from docdepth.datasets.pose_tables import (
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings, transform
 from docdepth.datasets.stamped_files import MICROSECOND, packed, stamped_lidar
-from docdepth.datasets.stamps import times_of_names
+from docdepth.datasets.times import times_of_names
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from docdepth.datasets.base import LidarStream
-from docdepth.datasets.cloud import Cloud
+from docdepth.datasets.cloud import Cloud, SweepFiles
 from docdepth.datasets.cloud_files import (
     KITTI_COLUMNS,
     READERS,
@@ -32,7 +32,7 @@ from docdepth.datasets.settings import (
     read_settings,
     transform,
 )
-from docdepth.datasets.stamps import times_of_files
+from docdepth.datasets.times import times_of_files
 from docdepth.datasets.yaml_cameras import YamlCamera, yaml_cameras
 from docdepth.errors import Collector, DatasetError
 from docdepth.io.poses import read_poses_at
@@ -99,27 +99,14 @@ class FolderSettings(RecordingSettings):
 
 
 @dataclass(frozen=True)
-class FileLidar:
-    """A LiDAR whose sweeps are files.
+class FileLidar(SweepFiles):
+    """A LiDAR whose sweeps are clouds of rows or of known suffixes."""
 
-    Attributes
-    ----------
-    stream : LidarStream
-    sweeps : list of Path
-    rows : RowFormat
-    """
-
-    stream: LidarStream
-    sweeps: list[Path]
     rows: RowFormat
 
     def read(self, index: int) -> Cloud:
         """Own sweep ``index``."""
         return read_cloud(self.sweeps[index], index, self.rows)
-
-    def files(self, index: int) -> list[Path]:
-        """Its file."""
-        return [self.sweeps[index]]
 
 
 class CloudFolder(Recording):

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
 from docdepth.datasets.cloud import Cloud, cloud_from_fields
+from docdepth.datasets.files import read_json
 from docdepth.datasets.format import Format
-from docdepth.datasets.json_files import pose_of, read_json
 from docdepth.datasets.kitti_files import check_increasing
+from docdepth.datasets.pose_tables import pose_of
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.errors import CalibrationError, DatasetError

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.format import Format
-from docdepth.datasets.json_files import pose_of
-from docdepth.datasets.pose_tables import poses_at, read_pose_table
+from docdepth.datasets.pose_tables import pose_of, poses_at, read_pose_table
 from docdepth.datasets.settings import read_settings
 from docdepth.datasets.stamped_files import NANOSECOND, packed, stamped_lidar
 from docdepth.datasets.yaml_cameras import CameraRecordingSettings, LidarRecording

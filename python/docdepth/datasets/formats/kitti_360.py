@@ -26,7 +26,7 @@ from docdepth.datasets.pose_tables import (
     whole_poses,
 )
 from docdepth.datasets.settings import transform
-from docdepth.datasets.stamps import times_of_names
+from docdepth.datasets.times import times_of_names
 from docdepth.errors import CalibrationError, Collector, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse

@@ -8,16 +8,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from docdepth.datasets import kitti_files, kitti_lidar
-from docdepth.datasets.base import DatasetRepr, Sweep
-from docdepth.datasets.ego import without_ego
+from docdepth.datasets.base import DatasetRepr, Sweep, without_ego
 from docdepth.datasets.files import FILE, is_there, read_bytes, read_lines, settings_file
 from docdepth.datasets.format import Format
 from docdepth.datasets.formats.kitti_odometry_cameras import REMEDY, read_cameras
 from docdepth.datasets.kitti_files import Calibration
-from docdepth.datasets.settings import EgoSettings, check_up, reasons
+from docdepth.datasets.settings import MountSettings, read_settings
 from docdepth.datasets.times import read_times_of
 from docdepth.errors import Collector, DatasetError
 from docdepth.geometry.se3 import inverse
@@ -25,9 +23,17 @@ from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.io.poses import read_kitti
 from docdepth.io.yaml_json import parse_yaml
 
-_SYNTHETIC = {"scene", "sensor", "seed", "frames", "beam_width_deg", "blooming_deg"}
-"""Entries that say how a synthetic drive was made."""
-_MOST_METRES = 100  # of a LiDAR from the origin of its points; more is a mistake of units
+
+class KittiSettings(MountSettings):
+    """What ``docdepth.yaml`` of a sequence may say; the last ones tell how a drive was made."""
+
+    motion_compensated: bool = True
+    scene: Any = None
+    sensor: Any = None
+    seed: Any = None
+    frames: Any = None
+    beam_width_deg: Any = None
+    blooming_deg: Any = None
 
 
 class KittiOdometry(DatasetRepr):
@@ -85,11 +91,10 @@ class KittiOdometry(DatasetRepr):
         with problems.collected():
             self.times = read_times_of(self.sweeps, self.path / "times.txt", "times", REMEDY)
         with problems.collected():
-            settings = _settings(self.path / "docdepth.yaml")
-            self.motion_compensated: bool = settings["motion_compensated"]
-            self._sensor_origin: list[float] | None = settings["sensor_origin"]
-            self._ego_boxes: list[list[float]] = settings["ego_boxes"]
-            self.up: list[float] | None = settings["up"]
+            settings, _ = read_settings(self.path, KittiSettings)
+            self.motion_compensated = settings.motion_compensated
+            self._sensor_origin, self.up = settings.sensor_origin, settings.up
+            self._ego_boxes = settings.ego_boxes
         with problems.collected():
             self._read_calibration(image_size, problems)
         problems.raise_errors()
@@ -233,47 +238,6 @@ def _find_more_lidars(
             )
         found.append((folder, inverse(T_camera_lidar) @ T_camera_other))
     return found
-
-
-def _settings(file: Path) -> dict[str, Any]:
-    """The entries of ``docdepth.yaml``, or their defaults."""
-    known: dict[str, Any] = {
-        "motion_compensated": True,
-        "sensor_origin": None,
-        "up": None,
-        **EgoSettings().model_dump(),
-    }
-    if not is_there(file):
-        return known
-    try:
-        given: Any = parse_yaml("\n".join(read_lines(file, "write it again or remove it")))
-    except ValueError as error:
-        raise DatasetError(f"{file} is not YAML: {error}") from None
-    given = given if isinstance(given, dict) else {"motion_compensated": None}
-    if "sweep_duration" in given:
-        raise DatasetError(f"{file}: sweeps of this format are not joined; remove sweep_duration")
-    unknown = sorted(str(entry) for entry in given.keys() - known.keys() - _SYNTHETIC)
-    if unknown:
-        raise DatasetError(
-            f"{file}: {', '.join(unknown)} is unknown in this format; there are {', '.join(known)}"
-        )
-    known |= given
-    if not isinstance(known["motion_compensated"], bool):
-        raise DatasetError(f"{file}: motion_compensated must be true or false")
-    place = known["sensor_origin"]
-    if place is not None and (
-        not isinstance(place, list)
-        or len(place) != 3
-        or not all(isinstance(x, (int, float)) and abs(x) < _MOST_METRES for x in place)
-    ):
-        raise DatasetError(f"{file}: sensor_origin must be [x, y, z] in metres, got {place}")
-    check_up(known["up"], file)
-    try:
-        ego = EgoSettings(**{name: known[name] for name in EgoSettings.model_fields})
-    except ValidationError as error:
-        raise DatasetError(f"{file}: {reasons(error, EgoSettings)}") from None
-    ego.check(file)
-    return known | ego.model_dump()
 
 
 def _recognises(path: Path) -> bool:

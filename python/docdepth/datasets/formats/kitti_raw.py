@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import kitti_files, kitti_lidar
-from docdepth.datasets.base import CameraStream, DatasetRepr, Sweep
-from docdepth.datasets.ego import without_ego
+from docdepth.datasets.base import CameraStream, DatasetRepr, Sweep, without_ego
 from docdepth.datasets.files import is_there, read_lines, settings_file
 from docdepth.datasets.format import Format
 from docdepth.datasets.formats.kitti_oxts import read_oxts

@@ -17,19 +17,19 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
 from docdepth.datasets.cloud import Cloud
-from docdepth.datasets.files import read_bytes
+from docdepth.datasets.files import read_json
 from docdepth.datasets.format import Format
-from docdepth.datasets.json_files import pose_of, read_json
 from docdepth.datasets.kitti_files import check_increasing
+from docdepth.datasets.pose_tables import pose_of
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
+from docdepth.datasets.stamped_files import MICROSECOND, StampedLidar, packed
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import camera_of
 from docdepth.geometry.se3 import inverse
 
 _UNPACK = "unpack the metadata of nuScenes again"
-_COLUMNS = 5  # x y z intensity ring
-_MICROSECOND = 1000  # ns
+_ROWS = packed(x="f4", y="f4", z="f4", intensity="f4", ring="f4")
 _MOST_NAMED = 8  # scenes in an error
 # nuScenes' LiDAR has x to the right and y ahead, docdepth x ahead and y to the left.
 _T_LIDAR_THEIRS = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
@@ -71,36 +71,10 @@ class Tables:
         return {row["name"]: row["token"] for row in self.rows("scene")}
 
 
-@dataclass(frozen=True)
-class NuScenesLidar:
-    """LIDAR_TOP of a scene.
-
-    Attributes
-    ----------
-    stream : LidarStream
-    sweeps : list of Path
-    """
-
-    stream: LidarStream
-    sweeps: list[Path]
-
-    def read(self, index: int) -> Cloud:
-        """Own sweep ``index``, x ahead."""
-        file = self.sweeps[index]
-        content = read_bytes(file, "unpack the sweeps of nuScenes again")
-        if not content or len(content) % (4 * _COLUMNS):
-            raise DatasetError(
-                f"{file} (frame {index}) has {len(content)} bytes, which is not a multiple of "
-                f"{4 * _COLUMNS} (x y z intensity ring as float32): it is truncated; unpack it "
-                "again"
-            )
-        rows = np.frombuffer(content, "<f4").reshape(-1, _COLUMNS)
-        points = np.stack([rows[:, 1], -rows[:, 0], rows[:, 2]], axis=1)
-        return Cloud(points, rows[:, 3].copy(), rows[:, 4].astype(np.uint16))
-
-    def files(self, index: int) -> list[Path]:
-        """Its file."""
-        return [self.sweeps[index]]
+def turned(rows: NDArray[Any], where: str) -> Cloud:
+    """The points of a sweep, x ahead."""
+    points = np.stack([rows["y"], -rows["x"], rows["z"]], axis=1)
+    return Cloud(points, rows["intensity"].copy(), rows["ring"].astype(np.uint16))
 
 
 class NuScenes(Recording):
@@ -178,7 +152,7 @@ def _channels(tables: Tables, scene: str) -> dict[str, list[_Row]]:
     return channels
 
 
-def _lidar(root: Path, rows: list[_Row], tables: Tables) -> NuScenesLidar:
+def _lidar(root: Path, rows: list[_Row], tables: Tables) -> StampedLidar:
     files = [root / row["filename"] for row in rows]
     lacking = [file for file in files if not file.is_file()]
     if lacking:
@@ -187,7 +161,8 @@ def _lidar(root: Path, rows: list[_Row], tables: Tables) -> NuScenesLidar:
             "samples and sweeps of LIDAR_TOP"
         )
     names = [file.name.removesuffix(".pcd.bin") for file in files]
-    return NuScenesLidar(LidarStream("LIDAR_TOP", _times(rows, names, tables), names), files)
+    stream = LidarStream("LIDAR_TOP", _times(rows, names, tables), names)
+    return StampedLidar(stream, files, _ROWS, turned)
 
 
 def _camera(
@@ -221,7 +196,7 @@ def _camera(
 
 
 def _times(rows: list[_Row], names: list[str], tables: Tables) -> NDArray[np.int64]:
-    times = np.array([int(row["timestamp"]) for row in rows], np.int64) * _MICROSECOND
+    times = np.array([int(row["timestamp"]) for row in rows], np.int64) * MICROSECOND
     check_increasing(times, names, tables.folder / "sample_data.json")
     return times
 

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
-from docdepth.datasets.cloud import Cloud, cloud_from_fields
-from docdepth.datasets.files import read_bytes
+from docdepth.datasets.cloud import Cloud, SweepFiles, cloud_from_fields
+from docdepth.datasets.files import read_bytes, read_json
 from docdepth.datasets.format import Format
-from docdepth.datasets.json_files import pose_of, read_json
 from docdepth.datasets.kitti_files import check_increasing, image_files, image_size, in_order
+from docdepth.datasets.pose_tables import pose_of
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.errors import CalibrationError, DatasetError, MissingExtraError
@@ -77,17 +77,8 @@ def T_camera_lidar(name: str) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
-class PandaLidar:
-    """The Pandar64 of a sequence.
-
-    Attributes
-    ----------
-    stream : LidarStream
-    sweeps : list of Path
-    """
-
-    stream: LidarStream
-    sweeps: list[Path]
+class PandaLidar(SweepFiles):
+    """The Pandar64 of a sequence."""
 
     def read(self, index: int) -> Cloud:
         """Own sweep ``index``, in the world."""
@@ -101,10 +92,6 @@ class PandaLidar:
         for name in "xyzit":
             rows[name] = table[name][kept]
         return cloud_from_fields(rows, where)
-
-    def files(self, index: int) -> list[Path]:
-        """Its file."""
-        return [self.sweeps[index]]
 
 
 class PandaSet(Recording):
