@@ -142,7 +142,11 @@ def test_a_capture_that_ends_within_a_packet(tmp_path: Path, caplog) -> None:
         caplog.clear()
         file.write_bytes(content[:-cut])
         open_dataset(file)
-        assert "drive.pcap ends within a packet: it is truncated" in caplog.text, cut
+        assert "drive.pcap ends within a packet" in caplog.text, cut
+    file.write_bytes(content[: int(0.7 * len(content))])
+    dataset = open_dataset(file)
+    check(dataset, "velodyne")
+    assert len(dataset) in (3, 4)
 
 
 # ---- Velodyne
@@ -196,15 +200,6 @@ def test_captures_that_are_none(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "drive.pcap").write_bytes(content)
     with pytest.raises(DatasetError, match=r"drive.pcap is no pcap capture"):
         open_dataset(tmp_path / "drive.pcap")
-
-
-def test_a_truncated_capture_gives_what_is_whole(tmp_path: Path) -> None:
-    write_capture(tmp_path / "drive.pcap", velodyne_drive())
-    content = (tmp_path / "drive.pcap").read_bytes()
-    (tmp_path / "drive.pcap").write_bytes(content[: int(0.7 * len(content))])
-    dataset = open_dataset(tmp_path / "drive.pcap")
-    check(dataset, "velodyne")
-    assert len(dataset) in (3, 4)
 
 
 def test_real_packets_in_a_capture_are_the_bag_s(recordings: Path, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from docdepth.errors import DatasetError
 
 BOXES = [[[4.0, 7.0], [-3.0, 3.0], [-2.0, 2.0]], [[-9.0, -5.0], [0.0, 6.0], [-9.0, 9.0]]]
 PCD = "folder of binary pcd"
-LAYOUTS = ["kitti_raw", "kitti_odometry", "KITTI-360", PCD, "MCAP", "Argoverse 2", "MulRan"]
+LAYOUTS = ["kitti_raw", "kitti_odometry", PCD, "Argoverse 2"]
 
 
 def said(path: Path, **more) -> None:
@@ -54,7 +54,7 @@ def test_one_box(tmp_path):
     assert differences(open_dataset(path).sweep(0), expected) == []
 
 
-@pytest.mark.parametrize("what", ["kitti_raw", "kitti_odometry", PCD])
+@pytest.mark.parametrize("what", ["kitti_odometry", PCD])
 @pytest.mark.parametrize(
     "wrong", [3, [[1, 2]], [[[2, 1], [0, 1], [0, 1]]], [[[0, 2000], [0, 1], [0, 1]]], [["a"] * 6]]
 )

@@ -10,9 +10,10 @@ from docdepth.datasets import open_dataset, registry
 from docdepth.errors import DatasetError
 
 
+@pytest.mark.slow
 def test_it_is_a_recording(tmp_path, monkeypatch):
     file = tmp_path / "street.endless.yaml"
-    about = {"sensor": "VLP-16", "columns": 90, "frames": 8, "image_every": 3, "image_scale": 0.5}
+    about = {"sensor": "VLP-16", "columns": 90, "frames": 6, "image_every": 3, "image_scale": 0.5}
     file.write_text(yaml.safe_dump(about))
     point = EntryPoint("endless", "scenes.endless:FORMAT", "docdepth.datasets")
     monkeypatch.setattr(registry, "entry_points", lambda group: [point])

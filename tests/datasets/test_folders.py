@@ -9,7 +9,7 @@ import numpy.lib.recfunctions as rfn
 import pytest
 import yaml
 from conformance import check
-from made_up import DRIVE, START
+from made_up import DRIVE
 from writers import WRITERS, folder_rows, settings, write_beside, write_pcd
 
 from docdepth.datasets import open_dataset
@@ -147,13 +147,6 @@ def test_fractions_of_equal_length_are_milli_or_microseconds(digits: int) -> Non
     parts = [(stamp // 10**9, stamp % 10**9 // 10 ** (9 - digits)) for stamp in stamps]
     files = [Path(f"cloud_{second}_{rest:0{digits}d}.pcd") for second, rest in parts]
     assert times_of_files(files, "names", Path(), "").tolist() == stamps
-
-
-@pytest.mark.parametrize("rate", [0, -10])
-def test_a_rate_is_positive(folder: Path, rate: float) -> None:
-    change(folder, times=None, rate=rate)
-    with pytest.raises(DatasetError, match=r"docdepth.yaml: rate is .*: it must be greater than 0"):
-        open_dataset(folder)
 
 
 def test_two_sweeps_of_one_number_have_no_times_by_the_rate(folder: Path) -> None:
@@ -329,6 +322,7 @@ def test_where_the_lidar_looks_from(folder: Path) -> None:
         ({"scene": "city", "seed": 3}, "scene, seed are unknown; there are ego_boxes, [^;]*$"),
         ({"motion_compensated": "maybe"}, "_compensated is 'maybe': it must be true or false$"),
         ({"stamp": "begin"}, "stamp is 'begin': it must be 'start', 'middle' or 'end'"),
+        ({"times": None, "rate": 0}, "rate is 0: it must be greater than 0"),
         ({"times": "gone.txt"}, r"gone.txt is missing; say times: FILE or rate: 10"),
         ({"sweeps": "gone"}, "gone, the folder of the sweeps, is not there"),
         ({"poses": "gone.txt"}, "gone.txt is missing; give the file of the poses"),
@@ -366,14 +360,7 @@ def test_wrong_entries_are_named(folder: Path, entries: dict, message: str) -> N
     assert "docdepth.yaml" in str(caught.value) or "gone" in str(caught.value)
 
 
-def test_a_folder_of_other_files(folder: Path) -> None:
-    (folder / "other").mkdir()
-    change(folder, sweeps="other")
-    with pytest.raises(DatasetError, match=r"other holds no point clouds \(.bin, .las, .laz,"):
-        open_dataset(folder)
-
-
-@pytest.mark.parametrize("name", ["../../out", "a/b", "..", "", "all", "none"])
+@pytest.mark.parametrize("name", ["../../out", "", "all"])
 def test_names_of_cameras_stay_in_the_run(folder: Path, name: str) -> None:
     change(folder, cameras={name: settings()["cameras"]["front"]})
     with pytest.raises(DocDepthError, match="a camera cannot be called"):
@@ -413,18 +400,14 @@ def test_columns_that_do_not_fit(tmp_path: Path) -> None:
         open_dataset(written.path)
 
 
-def test_a_folder_of_two_kinds(folder: Path) -> None:
+def test_folders_of_two_kinds_or_of_none(folder: Path) -> None:
     write_pcd(folder / "000000.pcd", folder_rows(0))
     with pytest.raises(DatasetError, match=r"holds .pcd and .ply files"):
         open_dataset(folder)
-
-
-def test_stamps_that_do_not_rise(folder: Path) -> None:
-    lines = (folder / "stamps.txt").read_text().splitlines()
-    (folder / "stamps.txt").write_text("\n".join([lines[1], lines[0], *lines[2:]]))
-    with pytest.raises(DatasetError, match=r"time of frame 1 \(000001.ply\) is not after"):
+    (folder / "other").mkdir()
+    change(folder, sweeps="other")
+    with pytest.raises(DatasetError, match=r"other holds no point clouds"):
         open_dataset(folder)
-    assert str(START)[:5] in lines[0]
 
 
 # ---- poses in VIEWPOINT

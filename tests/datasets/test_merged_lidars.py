@@ -83,7 +83,7 @@ class Recording:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lidar", range(5))
+@pytest.mark.parametrize("lidar", [0, 2])
 def test_a_single_lidar_is_one(cloud, lidar) -> None:
     points, ends, places = cloud
     own = points[np.append(0, ends)[lidar] : ends[lidar]]

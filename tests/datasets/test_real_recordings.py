@@ -147,7 +147,7 @@ def test_times_that_wrap_are_ignored_with_a_warning(recordings: Path, caplog) ->
 def test_a_folder_of_real_pcd_with_a_fisheye(recordings: Path, tmp_path: Path) -> None:
     acfr = recordings / "acfr"
     info = yaml.safe_load((acfr / "camera_info.yaml").read_text())
-    numbers = sorted(int(file.stem[4:-5]) for file in (acfr / "pcd").glob("*_full.pcd"))
+    numbers = sorted(int(file.stem[4:-5]) for file in (acfr / "pcd").glob("*_full.pcd"))[:6]
     for folder in ("sweeps", "images"):
         (tmp_path / folder).mkdir()
     for number in numbers:
@@ -170,7 +170,7 @@ def test_a_folder_of_real_pcd_with_a_fisheye(recordings: Path, tmp_path: Path) -
     (tmp_path / "docdepth.yaml").write_text(yaml.safe_dump(entries))
     dataset = open_dataset(tmp_path)
     check(dataset, "folder")
-    assert len(dataset) == 20
+    assert len(dataset) == 6
     sweep = dataset.sweep(0)
     assert len(sweep.points) == 23969
     assert set(sweep.ring) == set(range(16))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import waymo_files as files
 from conformance import check
-from made_up import DISTORTION, DRIVE, START, K
+from made_up import DISTORTION, DRIVE, K
 from waymo_files import SEGMENT, T_VEHICLE_LIDAR, T_VEHICLE_REAR, T_VEHICLE_TOP
 
 from docdepth.datasets import open_dataset, usable_points
@@ -180,38 +180,3 @@ def test_damaged_components(tmp_path):
     files.write_poses(tmp_path, np.full((DRIVE.count, 4, 4), np.nan))
     with pytest.raises(DatasetError, match=r"vehicle_pose.*\(frame 0\) has no transform"):
         open_dataset(path)
-
-
-@pytest.mark.slow
-def test_a_street_that_a_moving_lidar_measured(tmp_path):
-    """Raw rays of a synthetic VLP-16 as range images are its sweeps without motion."""
-    pytest.importorskip("embreex")
-    from docdepth.synthetic import Drive, scene, sensor
-
-    raw, still = (Drive(scene("city", 3), sensor("VLP-16"), 4, 3, skew=s) for s in (True, False))
-    width, rings, times = 1800, 16, raw.times + START
-    images, pixels = [], []
-    for k, time in enumerate(raw.times.tolist()):
-        sweep = raw.sweep(k)
-        column = np.rint((sweep.relative_time + 0.5) * width - 0.5).astype(int)
-        images.append(np.zeros((rings, width, 4), np.float32))
-        images[k][sweep.ring, column, 0] = np.linalg.norm(sweep.points.astype(float), axis=1)
-        shares = (np.arange(width) + 0.5) / width - 0.5
-        poses = raw.pose_at(time + np.rint(shares * 1e8)) @ inverse(T_VEHICLE_LIDAR)
-        row = np.stack([files.pixel_poses(T, 1, 1)[0, 0] for T in poses])
-        pixels.append(np.repeat(row[None], rings, axis=0))
-    files.write_lidar(tmp_path, {1: images}, times)
-    files.write_pixel_poses(tmp_path, pixels, times)
-    files.write_calibration(tmp_path, {1: T_VEHICLE_TOP}, np.radians(np.linspace(-15, 15, rings)))
-    files.write_poses(tmp_path, raw.poses @ inverse(T_VEHICLE_LIDAR), times)
-    dataset = open_dataset(tmp_path)
-    np.testing.assert_allclose(dataset.poses, raw.poses, atol=1e-9)
-    for k in range(len(dataset)):
-        sweep, expected = dataset.sweep(k), still.sweep(k)
-        kept = usable_points(sweep.points)
-        order = np.lexsort((expected.relative_time, expected.ring))
-        assert kept.sum() == len(order) > 5000
-        np.testing.assert_allclose(sweep.points[kept], expected.points[order], atol=2e-3)
-        np.testing.assert_allclose(
-            sweep.relative_time[kept], expected.relative_time[order], atol=1e-4
-        )
