@@ -125,16 +125,10 @@ def _rays(points: np.ndarray) -> np.ndarray:
     return np.stack([np.hypot(level, z), *angles], axis=1)
 
 
-@pytest.mark.parametrize(
-    ("path", "what"),
-    [
-        ("ouster/512x10_raw.bag", "lidar_packets.*Ouster packets"),
-    ],
-)
-def test_packets_that_are_not_decoded_are_named(recordings: Path, path: str, what: str) -> None:
+def test_packets_that_are_not_decoded_are_named(recordings: Path) -> None:
     pytest.importorskip("rosbags")
-    with pytest.raises(DatasetError, match=f"{what}; record PointCloud2"):
-        open_dataset(recordings / path)
+    with pytest.raises(DatasetError, match=r"lidar_packets.*Ouster packets"):
+        open_dataset(recordings / "ouster" / "512x10_raw.bag")
 
 
 def test_times_that_wrap_are_ignored_with_a_warning(recordings: Path, caplog) -> None:
