@@ -131,8 +131,8 @@ def test_poses_that_follow_lorries_are_named(road) -> None:
     exact = np.asarray(dataset.poses)
     follows = np.repeat(np.eye(4)[None], len(exact), axis=0)
     follows[:, 0, 3] = 0.35 * np.arange(len(exact))
-    parameters = OdometryParameters()
-    assert find_other_motion(dataset, exact, parameters) == []
-    (found,) = find_other_motion(dataset, follows, parameters)
+    sweeps = ThinnedSweeps(dataset, OdometryParameters(), FINE_SAMPLING, FIRST_SWEEPS)
+    assert find_other_motion(sweeps, exact) == []
+    (found,) = find_other_motion(sweeps, follows)
     assert found.code == "poses-follow-traffic"
     assert re.search(r"moves by 2\.[678] m a sweep, but its poses by 0\.[34] m", found.text)

@@ -129,7 +129,7 @@ def _register(recording: Dataset, result: Inspection) -> list[Window]:
     for frames in windows_of(poses, len(recording), _WINDOW) if registered else []:
         part = FrameRange(recording, f"{frames.start}:{frames.stop}")
         try:
-            measured = estimate_poses(part, threads=1, passes=1)
+            measured = estimate_poses(part, threads=1, passes=1, findings=result.findings)
         except DocDepthError as error:
             text = f"frames {frames.start} to {frames.stop - 1} are not registered: {error}"
             result.note("not-registered", text)

@@ -40,6 +40,7 @@ from docdepth.odometry.pose_checks import (
     find_jumps,
     find_no_motion,
     find_other_motion,
+    places_compared,
 )
 from docdepth.odometry.pose_graph import check_solver
 from docdepth.odometry.registration_log import Found, RegistrationLog
@@ -121,10 +122,13 @@ def register_drive(
     if poses is not None:
         checked = check_given_poses(dataset, poses)
         findings = [*find_no_motion(dataset, checked, settings), *find_camera_poses(checked)]
-        known = level_world(dataset, checked)
+        known = _level_world(dataset, checked, findings)
     else:
-        known = estimate_poses(dataset, settings, progress, checkpoint, threads)
-        findings = find_other_motion(dataset, known, settings)
+        findings, sweeps = [], _thinned_sweeps(dataset, settings, PASSES)
+        known = estimate_poses(
+            dataset, settings, progress, checkpoint, threads, PASSES, findings, sweeps
+        )
+        findings += find_other_motion(sweeps, known)
     trajectory = Trajectory(dataset.times, known)
     findings += find_jumps(trajectory)
     log_findings(log, findings)
@@ -132,7 +136,9 @@ def register_drive(
     return Odometry(trajectory, DeskewedSweeps(dataset, motions.__getitem__), tuple(findings))
 
 
-def level_world(dataset: Dataset, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+def _level_world(
+    dataset: Dataset, poses: NDArray[np.float64], findings: list[Finding]
+) -> NDArray[np.float64]:
     """Given poses (n, 4, 4) in a world that is turned so that z is up, if it leans clearly.
 
     The world of a SLAM may be the frame of a camera or of a LiDAR that leans.
@@ -143,10 +149,11 @@ def level_world(dataset: Dataset, poses: NDArray[np.float64]) -> NDArray[np.floa
     ground = ground_of(dataset, poses[:, :3, :3])
     if ground is None or ground.tilt_deg < LEVEL_DEG:
         return poses
-    log.warning(
-        "the z axis of the poses is %.0f degrees from up, by the ground; the run's world is turned "
-        "so that z is up", ground.tilt_deg,
-    )  # fmt: skip
+    text = (
+        f"the z axis of the poses is {ground.tilt_deg:.0f} degrees from up, by the ground; the "
+        "run's world is turned so that z is up"
+    )
+    findings.append(Finding("leaning-world", "", text))
     turn = np.eye(4)
     turn[:3, :3] = level_turn(ground.up)
     levelled: NDArray[np.float64] = turn @ poses
@@ -160,25 +167,30 @@ def estimate_poses(
     checkpoint: Path | None = None,
     threads: int = 0,
     passes: int = PASSES,
+    findings: list[Finding] | None = None,
+    sweeps: ThinnedSweeps | None = None,
 ) -> NDArray[np.float64]:
     """Poses ``T_world_lidar`` (n, 4, 4) in the frame of the first sweep.
 
-    The arguments are those of :func:`register_drive`, and the number of passes.
+    The first arguments are those of :func:`register_drive`. ``passes`` is the number of
+    registrations, to ``findings`` is added what looks wrong, and ``sweeps`` are those of
+    ``dataset``, if the caller needs them, too.
     """
+    findings = [] if findings is None else findings
     parameters, count = parameters or OdometryParameters(), len(dataset)
     if count > 1:
         check_period(dataset)
     if parameters.loop_closure:
         check_solver()
     poses: NDArray[np.float64] = np.repeat(np.eye(4)[None], count, axis=0)
-    # The last pass is this far behind the first, which looks ahead at its start.
-    behind = (passes - 1) * (LAG + NEIGHBORS)
-    sweeps = ThinnedSweeps(dataset, parameters, FINE_SAMPLING, behind + FIRST_SWEEPS)
+    sweeps = sweeps or _thinned_sweeps(dataset, parameters, passes)
     stream: _PoseStream | None = None
     first = _first_motion(sweeps, _log(dataset, parameters, checkpoint, "first_motion"))
     logs = [_log(dataset, parameters, checkpoint, f"pass_{k + 1}") for k in range(passes)]
     for log_of_pass in logs:
-        registered = register(sweeps, parameters, first, stream, thread_count(threads), log_of_pass)
+        registered = register(
+            sweeps, parameters, first, stream, thread_count(threads), log_of_pass, findings
+        )
         stream = _PoseStream(smoothed(registered), count)
     assert stream is not None
     try:
@@ -197,6 +209,14 @@ def estimate_poses(
         finally:
             kept.close()
     return poses
+
+
+def _thinned_sweeps(dataset: Dataset, parameters: OdometryParameters, passes: int) -> ThinnedSweeps:
+    """Sweeps of which the passes, and the check of the motion behind them, read each once."""
+    # The last pass is this far behind the first, which looks ahead at its start.
+    behind = (passes - 1) * (LAG + NEIGHBORS)
+    checked = {k + j for k in places_compared(len(dataset)) for j in range(FIRST_SWEEPS)}
+    return ThinnedSweeps(dataset, parameters, FINE_SAMPLING, behind + FIRST_SWEEPS, checked)
 
 
 def _first_motion(sweeps: ThinnedSweeps, kept: RegistrationLog) -> NDArray[np.float64] | None:

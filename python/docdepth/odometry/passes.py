@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.config import OdometryParameters
-from docdepth.errors import OdometryError
+from docdepth.errors import Finding, OdometryError
 from docdepth.geometry.se3 import inverse, se3_exp, se3_log
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.registration import FEWEST_POINTS, UNKNOWN, Registration
@@ -18,8 +17,6 @@ from docdepth.odometry.registration_log import Found, RegistrationLog
 from docdepth.odometry.smoothing import State, filtered, first_state, stamp_error_of
 from docdepth.odometry.sweeps import ThinnedSweeps, deskewed_points
 from docdepth.odometry.traffic import SEEN
-
-log = logging.getLogger(__name__)
 
 KnownPoses = Callable[[int], NDArray[np.float64]]
 """``known(k)`` gives poses (n, 4, 4) of an earlier pass; the first k + 1 of them are known."""
@@ -36,7 +33,7 @@ _MARGIN = 15.0
 """Metres that points lie farther from a logged pose in the map than from the sensor when they were
 measured: deskewing moves them by up to 10 m at 60 m/s, and the filter moves the pose."""
 
-# A run warns if registration disagrees with the motion in a large share of the sweeps.
+# A finding tells if registration disagrees with the motion in a large share of the sweeps.
 _DISAGREES = 0.3  # metres between a registered position and the predicted one
 _MAX_DISAGREEING = 0.05  # share of the sweeps
 _SETTLED = 4  # sweeps after which the filter knows the motion
@@ -113,8 +110,9 @@ def register(
     parameters: OdometryParameters,
     first: NDArray[np.float64] | None,
     known: KnownPoses | None,
-    threads: int = 1,
-    kept: RegistrationLog | None = None,
+    threads: int,
+    kept: RegistrationLog,
+    findings: list[Finding],
 ) -> Iterator[State]:
     """Register sweeps one after the other.
 
@@ -129,8 +127,10 @@ def register(
         them. Without them poses are found from scratch: sweeps are deskewed with the motion of the
         sweep before.
     threads : int
-    kept : RegistrationLog, optional
+    kept : RegistrationLog
         What an interrupted pass found is taken from there, and what is found is added.
+    findings : list of Finding
+        At the end, what looks wrong is added.
 
     Yields
     ------
@@ -148,7 +148,7 @@ def register(
     neighbors = _FINE_NEIGHBORS if known else _NEIGHBORS
     registration = LoggedRegistration(
         Registration(voxel, sampling, neighbors, threads),
-        RegistrationLog() if kept is None else kept,
+        kept,
         count,
         parameters.max_range + voxel,
     )
@@ -185,9 +185,15 @@ def register(
             motion[:3, 3] = 1e-9 * period * pose[:3, :3].T @ state.velocity
         yield state
     if predicted and known is None:  # the other passes would say the same
-        _warn_of_predicted(predicted, count, parameters)
+        findings.append(_predicted_poses(predicted, count, parameters))
     if known is not None and disagreeing > _MAX_DISAGREEING * count:
-        _warn_of_disagreement(disagreeing, count)
+        text = (
+            f"{disagreeing} of {count} sweeps were registered more than {_DISAGREES} m from where "
+            "the motion led; perhaps the LiDAR sees little that stands still, traffic goes along, "
+            "or times are wrong; poses may be metres off"
+        )
+        remedy = "look at them, or bring better ones (`poses`)"
+        findings.append(Finding("registration-disagrees", "", text, remedy))
 
 
 def _deskewed(
@@ -202,22 +208,17 @@ def _power(motion: NDArray[np.float64], share: float) -> NDArray[np.float64]:
     return se3_exp(share * omega, share * velocity)
 
 
-def _warn_of_predicted(predicted: list[int], count: int, parameters: OdometryParameters) -> None:
-    """Log one warning of all sweeps that could not be registered."""
-    log.warning(
-        "%d of %d sweeps have less than %d usable points between %g and %g m, the first of them "
-        "frame %d: their poses are predicted%s",
-        len(predicted), count, FEWEST_POINTS, parameters.min_range, parameters.max_range,
-        predicted[0],
-        "" if 2 * len(predicted) < count else "; the points may not be in metres, their format may "
-        "not be what it is taken for, or odometry.min_range and max_range leave too few",
-    )  # fmt: skip
-
-
-def _warn_of_disagreement(disagreeing: int, count: int) -> None:
-    """Log a warning that registration and the motion do not fit together."""
-    log.warning(
-        "%d of %d sweeps were registered more than %g m from where the motion led; perhaps the "
-        "LiDAR sees little that stands still, traffic goes along, or times are wrong; poses may be "
-        "metres off: look at them, or bring better ones (`poses`)", disagreeing, count, _DISAGREES,
-    )  # fmt: skip
+def _predicted_poses(predicted: list[int], count: int, parameters: OdometryParameters) -> Finding:
+    """One finding of all sweeps that could not be registered."""
+    few = 2 * len(predicted) < count
+    return Finding(
+        "predicted-poses",
+        "",
+        f"{len(predicted)} of {count} sweeps have less than {FEWEST_POINTS} usable points between "
+        f"{parameters.min_range:g} and {parameters.max_range:g} m, the first of them frame "
+        f"{predicted[0]}: their poses are predicted",
+        ""
+        if few
+        else "the points may not be in metres, their format may not be what it is taken for, or "
+        "odometry.min_range and max_range leave too few",
+    )

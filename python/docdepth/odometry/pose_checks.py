@@ -120,16 +120,18 @@ def move_upwards(poses: NDArray[np.float64]) -> bool:
     return bool(len(steps) and np.median(steps[:, 2]) > 2 * np.median(steps[:, 0]))
 
 
-def find_other_motion(
-    dataset: Dataset, poses: NDArray[np.float64], parameters: OdometryParameters
-) -> list[Finding]:
+def places_compared(count: int) -> list[int]:
+    """Sweeps of so many at which :func:`find_other_motion` looks."""
+    return np.unique(np.linspace(0, count - 1, _PLACES + 2)[1:-1].astype(int)).tolist()
+
+
+def find_other_motion(sweeps: ThinnedSweeps, poses: NDArray[np.float64]) -> list[Finding]:
     """Whether points higher than any lorry show that, on a road, poses follow traffic."""
-    sweeps, last = ThinnedSweeps(dataset, parameters, FINE_SAMPLING, FIRST_SWEEPS), len(poses) - 1
     compared = 0
-    for k in np.unique(np.linspace(0, last, _PLACES + 2)[1:-1].astype(int)).tolist():
+    for k in places_compared(len(poses)):
         if not len(split_level_ground(sweeps[k].points.astype(np.float64), _COLUMN)[1]):
             continue
-        motion = centred_motion(poses, dataset.times, [k])[0]
+        motion = centred_motion(poses, sweeps.times, [k])[0]
         checked = checked_motion(sweeps, range(k, len(poses)), motion)
         if checked is None:
             continue

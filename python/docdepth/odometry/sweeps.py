@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias, overload
@@ -123,27 +123,36 @@ class ThinnedSweeps:
     voxel_size : float
         Edge of a voxel [m].
     kept : int
-        Sweeps that are kept.
+        Last sweeps that are kept.
+    needed_later : set of int
+        Sweeps that are kept until the end, once they are read.
     """
 
     def __init__(
-        self, dataset: Dataset, parameters: OdometryParameters, voxel_size: float, kept: int
+        self,
+        dataset: Dataset,
+        parameters: OdometryParameters,
+        voxel_size: float,
+        kept: int,
+        needed_later: Set[int] = frozenset(),
     ) -> None:
         self.times, self._dataset, self._voxel_size = dataset.times, dataset, voxel_size
         self._range = parameters.min_range, parameters.max_range
         self._kept, self._recent = kept, dict[int, Sweep]()
+        self._needed_later, self._until_end = needed_later, dict[int, Sweep]()
 
     def __len__(self) -> int:
         return len(self._dataset)
 
     def __getitem__(self, index: int) -> Sweep:
-        if index not in self._recent:
-            if len(self._recent) == self._kept:
-                del self._recent[next(iter(self._recent))]
+        sweeps = self._until_end if index in self._needed_later else self._recent
+        if index not in sweeps:
+            if sweeps is self._recent and len(sweeps) == self._kept:
+                del sweeps[next(iter(sweeps))]
             with suggest_skipping():
                 sweep = self._dataset.sweep(index)
-            self._recent[index] = self._thinned(sweep)
-        return self._recent[index]
+            sweeps[index] = self._thinned(sweep)
+        return sweeps[index]
 
     def _thinned(self, sweep: Sweep) -> Sweep:
         times = sweep.relative_time
