@@ -58,13 +58,7 @@ class LidarReader(Protocol):
 
 @dataclass(frozen=True)
 class SweepFiles:
-    """The sweeps of one LiDAR, a file each; formats add how a file is read.
-
-    Attributes
-    ----------
-    stream : LidarStream
-    sweeps : list of Path
-    """
+    """The sweeps of one LiDAR, a file each; formats add how a file is read."""
 
     stream: LidarStream
     sweeps: list[Path]

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import DatasetError
+from docdepth.errors import CalibrationError, DatasetError
 from docdepth.io.images import decode_image
 from docdepth.io.yaml_json import parse_json
 
@@ -76,6 +76,22 @@ def read_lines(file: Path, remedy: str) -> list[str]:
         return read_bytes(file, remedy).decode("utf-8-sig").rstrip().splitlines()
     except UnicodeDecodeError:
         raise DatasetError(f"{file} is not a text file; {remedy}") from None
+
+
+def read_numbers(file: Path, remedy: str) -> list[float]:
+    """All numbers of a text file of a calibration.
+
+    Raises
+    ------
+    CalibrationError
+        The file cannot be read, or holds something else.
+    """
+    try:
+        return [float(word) for line in read_lines(file, remedy) for word in line.split()]
+    except ValueError:
+        raise CalibrationError(f"{file} is no matrix of numbers; {remedy}") from None
+    except DatasetError as error:
+        raise CalibrationError(str(error)) from None
 
 
 def read_json(file: Path, remedy: str) -> Any:

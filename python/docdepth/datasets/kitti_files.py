@@ -7,15 +7,23 @@ import stat
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import nullcontext, suppress
 from decimal import Decimal
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.base import LidarStream
-from docdepth.datasets.files import is_there, read_bytes, read_image, read_lines, unreadable
+from docdepth.datasets import kitti_lidar
+from docdepth.datasets.base import DatasetRepr, LidarStream
+from docdepth.datasets.files import (
+    is_there,
+    read_bytes,
+    read_image,
+    read_lines,
+    settings_file,
+    unreadable,
+)
 from docdepth.datasets.point_format import foreign_format
 from docdepth.datasets.readable_frames import (
     are_broken_frames_tolerated,
@@ -311,8 +319,34 @@ def image_size(files: Sequence[Path]) -> tuple[int, int]:
     return image.shape[1], image.shape[0]
 
 
-def points_of_each(files: Sequence[Path]) -> Iterator[NDArray[np.float32]]:
-    """The points of every sweep that can be read."""
-    for k, file in enumerate(files):
-        with suppress(DatasetError):
-            yield read_sweep(file, k)[0]
+class KittiSweeps(DatasetRepr):
+    """What raw drives and sequences share: sweeps ``*.bin`` and labels beside them."""
+
+    path: Path
+    _sweeps: list[Path]
+    _ego_boxes: list[list[float]]
+
+    def __len__(self) -> int:
+        return len(self._sweeps)
+
+    def sweep_files(self, index: int) -> list[Path]:
+        """All files of sweep ``index``, and the one that masks some of it."""
+        masks = [settings_file(self.path)] if self._ego_boxes else []
+        return self._lidar_files(index) + masks
+
+    def labels(self, index: int) -> NDArray[np.uint32] | None:
+        """Labels of every point of sweep ``index``; None without a file."""
+        file = self.path / "labels" / f"{self._sweeps[index].stem}.label"
+        return read_labels(file, self._lidar_files(index), index)
+
+    def _lidar_files(self, index: int) -> list[Path]:
+        return [self._sweeps[index]]
+
+    @cached_property
+    def _is_kitti_lidar(self) -> bool:
+        return kitti_lidar.is_kitti_lidar(self._readable_points())
+
+    def _readable_points(self) -> Iterator[NDArray[np.float32]]:
+        for k, file in enumerate(self._sweeps):
+            with suppress(DatasetError):
+                yield read_sweep(file, k)[0]

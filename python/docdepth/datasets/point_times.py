@@ -90,10 +90,6 @@ class PointTimes:
         Rows that are no returns have any time or none: what cannot be a time of the sweep is 0
         there. None if a return lies more than a sweep and a half from the stamp: then times are
         wrong.
-
-        Parameters
-        ----------
-        sample : TimeSample
         """
         kept = sample.values[sample.usable]
         if not len(kept):

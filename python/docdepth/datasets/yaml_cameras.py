@@ -38,12 +38,7 @@ class YamlCamera(CameraSettings):
 
 
 class CameraRecordingSettings(RecordingSettings):
-    """Entries of a format without a camera of its own.
-
-    Attributes
-    ----------
-    cameras : dict of YamlCamera
-    """
+    """Entries of a format without a camera of its own."""
 
     cameras: dict[str, YamlCamera] = Field(default_factory=dict)
 

@@ -64,8 +64,6 @@ class Argoverse2(Recording):
     ----------
     path : Path
         The log, with ``sensors``, ``calibration`` and ``city_SE3_egovehicle.feather``.
-    image_size : (int, int), optional
-        Not used: the calibration tells the size.
     """
 
     def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:

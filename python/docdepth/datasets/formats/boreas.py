@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
 from docdepth.datasets.cloud import Cloud, cloud_from_fields
-from docdepth.datasets.files import is_there, read_lines
+from docdepth.datasets.files import is_there, read_numbers
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import image_files, image_size
 from docdepth.datasets.pose_tables import (
@@ -25,7 +25,7 @@ from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings, transform
 from docdepth.datasets.stamped_files import MICROSECOND, packed, stamped_lidar
 from docdepth.datasets.times import times_of_names
-from docdepth.errors import CalibrationError, DatasetError
+from docdepth.errors import CalibrationError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse
 
@@ -89,7 +89,7 @@ def _camera(
 ) -> CameraStream:
     """The rectified camera; without images it fires with the sweeps."""
     calib = path / "calib"
-    K = np.array(_numbers(calib / "P_camera.txt"), np.float64)
+    K = np.array(read_numbers(calib / "P_camera.txt", _RESTORE), np.float64)
     if K.size not in (12, 16):
         raise CalibrationError(f"{calib / 'P_camera.txt'} must be a matrix of 3 x 4; {_RESTORE}")
     images = image_files(path / "camera")
@@ -106,16 +106,7 @@ def _camera(
 
 
 def _transform(file: Path) -> NDArray[np.float64]:
-    return transform(_numbers(file), str(file))
-
-
-def _numbers(file: Path) -> list[float]:
-    try:
-        return [float(word) for line in read_lines(file, _RESTORE) for word in line.split()]
-    except ValueError:
-        raise CalibrationError(f"{file} is no matrix of numbers; {_RESTORE}") from None
-    except DatasetError as error:
-        raise CalibrationError(str(error)) from None
+    return transform(read_numbers(file, _RESTORE), str(file))
 
 
 def _recognises(path: Path) -> bool:

@@ -56,13 +56,7 @@ class Datum:
 
 @dataclass(frozen=True)
 class DgpLidar:
-    """A sensor with point clouds.
-
-    Attributes
-    ----------
-    stream : LidarStream
-    data : list of Datum
-    """
+    """A sensor with point clouds."""
 
     stream: LidarStream
     data: list[Datum]
@@ -98,8 +92,6 @@ class DgpScene(Recording):
     path : Path
         Folder with ``scene_*.json``, ``calibration`` and the data. DDAD's points are of several
         LiDARs in the vehicle's frame, one after the other; a run finds where they are.
-    image_size : (int, int), optional
-        Not used: the scene tells the size.
     """
 
     def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:

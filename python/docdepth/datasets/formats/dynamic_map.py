@@ -35,7 +35,6 @@ class DynamicMap(CloudFolder):
     ----------
     path : Path
         The sequence; a ``docdepth.yaml`` as of :class:`~.folder.FolderSettings` may add cameras.
-    image_size : (int, int), optional
     """
 
     def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:

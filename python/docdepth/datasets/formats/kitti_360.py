@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets import kitti_files
 from docdepth.datasets.base import CameraStream
-from docdepth.datasets.files import is_there, read_lines
+from docdepth.datasets.files import is_there, read_numbers
 from docdepth.datasets.format import Format
 from docdepth.datasets.formats.kitti_raw import (
     KittiRaw,
@@ -134,13 +134,7 @@ class Kitti360(KittiRaw):
     def _T_imu_lidar(self) -> NDArray[np.float64]:
         """The LiDAR's place; both it and the IMU are calibrated to camera 00."""
         file = self._root / "calibration" / "calib_cam_to_velo.txt"
-        try:
-            numbers = [float(word) for word in " ".join(read_lines(file, _CALIBRATION)).split()]
-        except ValueError:
-            numbers = []
-        except DatasetError as error:
-            raise CalibrationError(str(error)) from None
-        T_lidar_camera0 = transform(numbers or None, str(file))
+        T_lidar_camera0 = transform(read_numbers(file, _CALIBRATION), str(file))
         return self._T_imu_camera("00") @ inverse(T_lidar_camera0)
 
     def _read_poses(self) -> NDArray[np.float64] | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import kitti_files, kitti_lidar
-from docdepth.datasets.base import DatasetRepr, Sweep, without_ego
-from docdepth.datasets.files import FILE, is_there, read_bytes, read_lines, settings_file
+from docdepth.datasets.base import Sweep, without_ego
+from docdepth.datasets.files import FILE, is_there, read_bytes, read_lines
 from docdepth.datasets.format import Format
 from docdepth.datasets.formats.kitti_odometry_cameras import REMEDY, read_cameras
-from docdepth.datasets.kitti_files import Calibration
+from docdepth.datasets.kitti_files import Calibration, KittiSweeps
 from docdepth.datasets.settings import MountSettings, read_settings
 from docdepth.datasets.times import read_times_of
 from docdepth.errors import Collector, DatasetError
@@ -36,7 +35,7 @@ class KittiSettings(MountSettings):
     blooming_deg: Any = None
 
 
-class KittiOdometry(DatasetRepr):
+class KittiOdometry(KittiSweeps):
     """A sequence ``sequences/NN`` of KITTI odometry or SemanticKITTI.
 
     Needed are ``velodyne/*.bin``, ``calib.txt`` (P0 to P3, Tr) and ``times.txt``. Optional are
@@ -86,10 +85,10 @@ class KittiOdometry(DatasetRepr):
         self.name = name
         self.path = Path(path)
         problems = Collector()
-        self.sweeps = kitti_files.find_sweeps(self.path / "velodyne", problems)
-        self.times = np.arange(len(self.sweeps))
+        self._sweeps = kitti_files.find_sweeps(self.path / "velodyne", problems)
+        self.times = np.arange(len(self._sweeps))
         with problems.collected():
-            self.times = read_times_of(self.sweeps, self.path / "times.txt", "times", REMEDY)
+            self.times = read_times_of(self._sweeps, self.path / "times.txt", "times", REMEDY)
         with problems.collected():
             settings, _ = read_settings(self.path, KittiSettings)
             self.motion_compensated = settings.motion_compensated
@@ -106,23 +105,20 @@ class KittiOdometry(DatasetRepr):
         with problems.collected():
             T_camera_lidar = calibration.transform("Tr")
         with problems.collected():
-            self.poses = _poses(self.path, self.sweeps, T_camera_lidar)
+            self.poses = _poses(self.path, self._sweeps, T_camera_lidar)
         with problems.collected():
             self.cameras = read_cameras(
-                self.path, self.sweeps, self.times, calibration, T_camera_lidar, image_size
+                self.path, self._sweeps, self.times, calibration, T_camera_lidar, image_size
             )
         with problems.collected():
             self._more_lidars = _find_more_lidars(
-                self.path, calibration, T_camera_lidar, self.sweeps
+                self.path, calibration, T_camera_lidar, self._sweeps
             )
-            self.lidars = kitti_files.lidars(self.sweeps, self.times, self._more_lidars)
-
-    def __len__(self) -> int:
-        return len(self.sweeps)
+            self.lidars = kitti_files.lidars(self._sweeps, self.times, self._more_lidars)
 
     def sweep(self, index: int) -> Sweep:
         """Sweep ``index`` as it is on disk."""
-        file = self.sweeps[index]
+        file = self._sweeps[index]
         points, intensity = kitti_files.read_sweep(file, index)
         sensor_rig = None
         if self._sensor_origin is not None:
@@ -153,34 +149,25 @@ class KittiOdometry(DatasetRepr):
         """A sweep of the first LiDAR with those of the others, in the frame of the first."""
         all_points, all_intensities = [points], [intensity]
         for folder, T_lidar_sensor in self._more_lidars:
-            own, bright = kitti_files.read_sweep(folder / self.sweeps[frame].name, frame)
+            own, bright = kitti_files.read_sweep(folder / self._sweeps[frame].name, frame)
             moved = own @ T_lidar_sensor[:3, :3].T + T_lidar_sensor[:3, 3]
             all_points.append(moved.astype("f4"))
             all_intensities.append(bright)
             sensor_rig = sensor_rig.with_lidar(T_lidar_sensor, len(own))
         return np.concatenate(all_points), np.concatenate(all_intensities), sensor_rig
 
-    @cached_property
-    def _is_kitti_lidar(self) -> bool:
-        return kitti_lidar.is_kitti_lidar(kitti_files.points_of_each(self.sweeps))
-
     def sweep_files(self, index: int) -> list[Path]:
         """Sweep ``index`` of each LiDAR, the times of its points, and what masks some of them."""
-        times = self._point_times(index)
-        masks = [settings_file(self.path)] if self._ego_boxes else []
-        return self._lidar_files(index) + [times] * times.is_file() + masks
-
-    def labels(self, index: int) -> NDArray[np.uint32] | None:
-        """Labels of every point of sweep ``index``; None without a file."""
-        file = self.path / "labels" / f"{self.sweeps[index].stem}.label"
-        return kitti_files.read_labels(file, self._lidar_files(index), index)
+        lidars, times = self._lidar_files(index), self._point_times(index)
+        masks = super().sweep_files(index)[len(lidars) :]
+        return lidars + [times] * times.is_file() + masks
 
     def _lidar_files(self, index: int) -> list[Path]:
-        sweep = self.sweeps[index]
+        sweep = self._sweeps[index]
         return [sweep, *(folder / sweep.name for folder, _ in self._more_lidars)]
 
     def _point_times(self, index: int) -> Path:
-        return self.path / "point_times" / f"{self.sweeps[index].stem}.bin"
+        return self.path / "point_times" / f"{self._sweeps[index].stem}.bin"
 
     def _relative_time(self, frame: int, points: NDArray[np.float32]) -> NDArray[np.float32] | None:
         file = self._point_times(frame)

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import kitti_files, kitti_lidar
-from docdepth.datasets.base import CameraStream, DatasetRepr, Sweep, without_ego
-from docdepth.datasets.files import is_there, read_lines, settings_file
+from docdepth.datasets.base import CameraStream, Sweep, without_ego
+from docdepth.datasets.files import is_there, read_lines
 from docdepth.datasets.format import Format
 from docdepth.datasets.formats.kitti_oxts import read_oxts
-from docdepth.datasets.kitti_files import Calibration
+from docdepth.datasets.kitti_files import Calibration, KittiSweeps, camera_offset
 from docdepth.datasets.pose_tables import whole_poses
 from docdepth.datasets.settings import EgoSettings, read_settings
 from docdepth.datasets.times import read_times_of
@@ -24,7 +24,7 @@ _EXPORT = "KITTI keeps it beside the drive; unpack the 'synced+rectified data' o
 _CALIBRATION = "unpack the 'calibration' archive of that date beside its drives"
 
 
-class KittiRaw(DatasetRepr):
+class KittiRaw(KittiSweeps):
     """A drive ``DATE/DATE_drive_NNNN_sync`` with the calibration in ``DATE``.
 
     A sweep is one revolution of the LiDAR, clockwise seen from above. It starts backwards and faces
@@ -61,9 +61,6 @@ class KittiRaw(DatasetRepr):
         self.cameras = self._read_cameras(image_size, problems)
         problems.raise_errors()
 
-    def __len__(self) -> int:
-        return len(self._sweeps)
-
     def sweep(self, index: int) -> Sweep:
         """Sweep ``index`` as it is on disk."""
         file = self._sweeps[index]
@@ -75,14 +72,43 @@ class KittiRaw(DatasetRepr):
         )
         return without_ego(sweep, self._ego_boxes)
 
-    def sweep_files(self, index: int) -> list[Path]:
-        """The file of sweep ``index``, and the one that masks some of it."""
-        return [self._sweeps[index], *([settings_file(self.path)] if self._ego_boxes else [])]
-
     def _read_cameras(
         self, image_size: tuple[int, int] | None, problems: Collector
     ) -> dict[str, CameraStream]:
-        return _cameras(self.path, self._sweeps, self.times, image_size, problems)
+        file = self.path.parent / "calib_cam_to_cam.txt"
+        T_camera0_lidar = T_rectified_camera0 = np.eye(4)
+        with problems.collected():
+            lidar_file = Calibration(self.path.parent / "calib_velo_to_cam.txt", _CALIBRATION)
+            T_camera0_lidar = lidar_file.transform_of("R", "T")
+        try:
+            camera_file = Calibration(file, _CALIBRATION)
+        except CalibrationError as error:
+            problems.errors.append(error)
+            return {}
+        with problems.collected():
+            T_rectified_camera0 = camera_file.transform_of("R_rect_00")
+
+        streams: dict[str, CameraStream] = {}
+        numbers = [n for n in ("00", "01", "02", "03") if f"P_rect_{n}" in camera_file]
+        for number in numbers:
+            with problems.collected():
+                P = camera_file.matrix(f"P_rect_{number}", 3, 4)
+                folder = self.path / f"image_{number}"
+                images = kitti_files.image_files(folder / "data")
+                size = image_size_of(camera_file, number, images, image_size)
+                times, names = image_times(folder, images, self._sweeps, self.times)
+                streams[folder.name] = CameraStream(
+                    name=folder.name,
+                    camera=camera_of(P[:, :3], size, f"{file}: P_rect_{number}"),
+                    T_camera_lidar=camera_offset(P) @ T_rectified_camera0 @ T_camera0_lidar,
+                    times=times,
+                    names=names,
+                    images=images,
+                )
+        with problems.collected():
+            if not numbers:
+                raise CalibrationError(f"{file} has no camera (P_rect_NN); {_CALIBRATION}")
+        return streams
 
     @cached_property
     def partial_poses(self) -> NDArray[np.float64] | None:
@@ -95,65 +121,14 @@ class KittiRaw(DatasetRepr):
         return whole_poses(self.partial_poses, self.path)
 
     @cached_property
-    def _is_kitti_lidar(self) -> bool:
-        return kitti_lidar.is_kitti_lidar(kitti_files.points_of_each(self._sweeps))
-
-    @cached_property
     def up(self) -> tuple[float, float, float] | None:
         """Which way is up in the LiDAR frame: KITTI's own LiDAR stands upright."""
         return (0.0, 0.0, 1.0) if self._is_kitti_lidar else None
-
-    def labels(self, index: int) -> NDArray[np.uint32] | None:
-        """Labels of every point of sweep ``index``; None without a file."""
-        sweep = self._sweeps[index]
-        return kitti_files.read_labels(self.path / "labels" / f"{sweep.stem}.label", [sweep], index)
 
 
 def _read_times(table: Path, files: list[Path]) -> NDArray[np.int64]:
     """Nanoseconds since 1970 of each file, from lines like ``2011-09-26 13:02:25.951199337``."""
     return read_times_of(files, table, "stamps", _EXPORT)
-
-
-def _cameras(
-    drive: Path,
-    sweeps: list[Path],
-    sweep_times: NDArray[np.int64],
-    image_size: tuple[int, int] | None,
-    problems: Collector,
-) -> dict[str, CameraStream]:
-    T_camera0_lidar = T_rectified_camera0 = np.eye(4)
-    with problems.collected():
-        lidar_file = Calibration(drive.parent / "calib_velo_to_cam.txt", _CALIBRATION)
-        T_camera0_lidar = lidar_file.transform_of("R", "T")
-    try:
-        camera_file = Calibration(drive.parent / "calib_cam_to_cam.txt", _CALIBRATION)
-    except CalibrationError as error:
-        problems.errors.append(error)
-        return {}
-    with problems.collected():
-        T_rectified_camera0 = camera_file.transform_of("R_rect_00")
-
-    streams: dict[str, CameraStream] = {}
-    numbers = [n for n in ("00", "01", "02", "03") if f"P_rect_{n}" in camera_file]
-    for number in numbers:
-        with problems.collected():
-            P = camera_file.matrix(f"P_rect_{number}", 3, 4)
-            folder = drive / f"image_{number}"
-            images = kitti_files.image_files(folder / "data")
-            width, height = image_size_of(camera_file, number, images, image_size)
-            times, names = image_times(folder, images, sweeps, sweep_times)
-            streams[folder.name] = CameraStream(
-                name=folder.name,
-                camera=camera_of(P[:, :3], (width, height), f"{camera_file.file}: P_rect_{number}"),
-                T_camera_lidar=kitti_files.camera_offset(P) @ T_rectified_camera0 @ T_camera0_lidar,
-                times=times,
-                names=names,
-                images=images,
-            )
-    with problems.collected():
-        if not numbers:
-            raise CalibrationError(f"{camera_file.file} has no camera (P_rect_NN); {_CALIBRATION}")
-    return streams
 
 
 def image_times(

@@ -87,8 +87,6 @@ class NuScenes(Recording):
     ----------
     path : Path
         ``ROOT/SCENE``, or ROOT where it holds one scene.
-    image_size : (int, int), optional
-        Not used: the tables tell the size.
     """
 
     def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:

@@ -106,8 +106,6 @@ class PandaSet(Recording):
     ----------
     path : Path
         Folder with ``lidar`` and ``camera``.
-    image_size : (int, int), optional
-        Not used: images are 1920 x 1080.
     """
 
     def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:

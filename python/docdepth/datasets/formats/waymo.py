@@ -149,8 +149,6 @@ class Waymo(Recording):
     path : Path
         ``ROOT/SEGMENT``, where ROOT holds ``lidar/SEGMENT.parquet`` and the other components; or
         ROOT where it holds one segment.
-    image_size : (int, int), optional
-        Not used: the calibration tells the size.
     """
 
     def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:

@@ -126,8 +126,6 @@ class BagRecording(Recording):
     path : Path
         A ``.bag``, ``.mcap`` or ``.db3`` file, or the folder of a bag. ``docdepth.yaml`` in the
         folder or beside the file has the entries of :class:`BagSettings`.
-    image_size : (int, int), optional
-        Not used: images and CameraInfo tell their size.
     """
 
     def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:

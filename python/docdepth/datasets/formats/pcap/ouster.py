@@ -44,15 +44,6 @@ class OusterCapture:
 
     Stamps are when the first packet of a frame arrived; where the LiDAR keeps Unix time, they are
     moved to its clock. Times of points count from the first column that is there.
-
-    Parameters
-    ----------
-    path : Path
-    metadata : Path
-
-    Attributes
-    ----------
-    stream : LidarStream
     """
 
     def __init__(self, path: Path, metadata: Path) -> None:

@@ -58,16 +58,6 @@ class PacketCapture:
 
     Stamps are when the first packet of a sweep arrived.
 
-    Parameters
-    ----------
-    path : Path
-    kind : Packets
-    decode : Decode
-
-    Attributes
-    ----------
-    stream : LidarStream
-
     Raises
     ------
     DatasetError
