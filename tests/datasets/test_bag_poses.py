@@ -1,4 +1,4 @@
-"""Poses from topics of poses, paths and transforms: ``poses: /topic`` beside a bag."""
+"""Poses from topics of odometry, poses, paths and transforms: ``poses: /topic`` beside a bag."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import yaml
 from bags import BagWriter, padded_rows
 from conformance import check
 from made_up import DRIVE
-from test_bag_odometry import BODY, T_BODY_LIDAR, pose_of
 
 from docdepth.datasets import open_dataset
 from docdepth.errors import CalibrationError, DatasetError
-from docdepth.geometry.se3 import inverse, poses_from, rotation_exp
+from docdepth.geometry.se3 import inverse, matrix_to_quaternion, poses_from, rotation_exp
 from docdepth.geometry.trajectory import Trajectory
 
 pytest.importorskip("rosbags")
 
-STAMPED, COVARIANT = "PoseStamped", "PoseWithCovarianceStamped"
+T_BODY_LIDAR = poses_from([rotation_exp([0.02, 0.3, -0.4])], [[1.2, 0.1, 1.7]])[0]
+BODY = Trajectory(DRIVE.times, DRIVE.poses @ inverse(T_BODY_LIDAR))
 FRAME = {"odometry_frame": "/base_link"}
 
 
@@ -45,14 +45,33 @@ class Bag(BagWriter):
         super().__exit__()
         self.said[0].write_text(self.said[1])
 
+    def pose(self, pose: np.ndarray):
+        x, y, z, w = matrix_to_quaternion(pose[:3, :3])
+        return self.make(
+            "geometry_msgs/msg/Pose",
+            self.make("geometry_msgs/msg/Point", *pose[:3, 3].tolist()),
+            self.make("geometry_msgs/msg/Quaternion", x, y, z, w),
+        )
+
     def stamped(self, time: int, pose: np.ndarray):
-        place = pose_of(self, pose)
-        return self.make("geometry_msgs/msg/PoseStamped", self.header(time, "map"), place)
+        header = self.header(time, "map")
+        return self.make("geometry_msgs/msg/PoseStamped", header, self.pose(pose))
 
     def covariant(self, time: int, pose: np.ndarray):
-        place = self.make("geometry_msgs/msg/PoseWithCovariance", pose_of(self, pose), np.zeros(36))
+        place = self.make("geometry_msgs/msg/PoseWithCovariance", self.pose(pose), np.zeros(36))
         kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
         return self.make(kind, self.header(time, "map"), place)
+
+    def odometry(self, time: int, pose: np.ndarray, child: str = "base_link"):
+        zero = self.make("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
+        twist = self.make("geometry_msgs/msg/Twist", zero, zero)
+        return self.make(
+            "nav_msgs/msg/Odometry",
+            self.header(time, "odom"),
+            child,
+            self.make("geometry_msgs/msg/PoseWithCovariance", self.pose(pose), np.zeros(36)),
+            self.make("geometry_msgs/msg/TwistWithCovariance", twist, np.zeros(36)),
+        )
 
     def path_of(self, times, poses):
         stamped = [self.stamped(t, p) for t, p in zip(times.tolist(), poses, strict=True)]
@@ -63,16 +82,92 @@ class Bag(BagWriter):
             self.write("/tf", self.transform(child, parent, pose, time), time + 5_000_000)
 
 
-@pytest.mark.parametrize(("kind", "message"), [("ros1", STAMPED), ("mcap", COVARIANT)])
+def with_odometry(folder: Path, times: np.ndarray, poses=None, child="base_link", **said) -> Path:
+    """A bag with odometry of a frame at some times, which arrives 5 ms later."""
+    poses = BODY.interpolate(times) if poses is None else poses
+    with Bag(folder, poses="/pose", **said) as bag:
+        for time, pose in zip(times.tolist(), poses, strict=True):
+            bag.write("/pose", bag.odometry(time, pose, child), time + 5_000_000)
+    return bag.path
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"), [("ros1", "stamped"), ("mcap", "covariant"), ("db3", "odometry")]
+)
 def test_poses(tmp_path, kind, message):
-    """Stamped poses do not tell of which frame they are; docdepth.yaml does."""
-    with Bag(tmp_path, kind, poses="/pose", **FRAME) as bag:
-        make = bag.stamped if message == STAMPED else bag.covariant
-        for time, pose in zip(BODY.times.tolist(), BODY.poses, strict=True):
-            bag.write("/pose", make(time, pose), time + 5_000_000)
+    """50 messages a second, in disorder, some of them twice; those at sweeps tell the poses.
+
+    Stamped poses do not tell of which frame they are; docdepth.yaml does.
+    """
+    between = DRIVE.times[0] + 19_876_543 * np.arange(1, 20)
+    times = np.concatenate([DRIVE.times, between, between[:3]])
+    times = np.random.default_rng(0).permutation(times)
+    with Bag(tmp_path, kind, poses="/pose", **({} if message == "odometry" else FRAME)) as bag:
+        for time, pose in zip(times.tolist(), BODY.interpolate(times), strict=True):
+            bag.write("/pose", getattr(bag, message)(time, pose), time + 5_000_000)
     dataset = open_dataset(bag.path)
     check(dataset, "bag")
     np.testing.assert_allclose(dataset.poses, DRIVE.poses, atol=1e-9)
+
+
+def test_poses_lie_between_messages(tmp_path):
+    """Straight ahead at 10 m/s, told ten times a second and never at a sweep."""
+    first = int(DRIVE.times[0])
+    times = first - 30_000_000 + 100_000_000 * np.arange(6)
+    poses = np.repeat(np.eye(4)[None], 6, axis=0)
+    poses[:, 0, 3] = 10.0 * (times - first) * 1e-9
+    dataset = open_dataset(with_odometry(tmp_path, times, poses, "lidar"))
+    expected = np.repeat(np.eye(4)[None], len(dataset), axis=0)
+    expected[:, 0, 3] = 10.0 * (DRIVE.times - first) * 1e-9
+    np.testing.assert_allclose(dataset.poses, expected, atol=1e-9)
+
+
+def test_sweeps_outside_are_left_out(tmp_path, caplog):
+    dataset = open_dataset(with_odometry(tmp_path, DRIVE.times[1:4]))
+    check(dataset, "bag")
+    assert "2 of 5 sweeps are before the first or after the last message of /pose" in caplog.text
+    np.testing.assert_array_equal(dataset.times, DRIVE.times[1:4])
+    np.testing.assert_allclose(dataset.poses, DRIVE.poses[1:4], atol=1e-9)
+    np.testing.assert_array_equal(dataset.sweep(0).points, DRIVE.points(1))
+
+
+def test_the_place_on_the_body_may_be_said(tmp_path):
+    said = {"T_odometry_lidar": T_BODY_LIDAR.ravel().tolist()}
+    path = with_odometry(tmp_path, DRIVE.times, static=False, **said)
+    np.testing.assert_allclose(open_dataset(path).poses, DRIVE.poses, atol=1e-9)
+    path = with_odometry(tmp_path, DRIVE.times, static=False)
+    with pytest.raises(CalibrationError, match=r"of the frame 'base_link', points are in 'lidar'"):
+        open_dataset(path)
+
+
+def test_times_of_recording(tmp_path):
+    """Messages are recorded 5 ms after their stamps, so the poses are those of 5 ms before."""
+    dataset = open_dataset(with_odometry(tmp_path, DRIVE.times, stamps="record"))
+    expected = BODY.interpolate(DRIVE.times[1:] - 5_000_000) @ T_BODY_LIDAR
+    np.testing.assert_allclose(dataset.poses, expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("topic", ["/odom", "/points"])
+def test_a_topic_that_is_not_there(tmp_path, topic):
+    path = with_odometry(tmp_path, DRIVE.times)
+    (path / "docdepth.yaml").write_text(f"poses: {topic}\n")
+    with pytest.raises(DatasetError, match=f"no odometry {topic}; its topics .* are /pose"):
+        open_dataset(path)
+
+
+def test_odometry_that_does_not_fit(tmp_path):
+    since_boot = DRIVE.times - DRIVE.times[0] + 10**9
+    with pytest.raises(DatasetError, match=r"no sweep .* lies within /pose .*different clocks"):
+        open_dataset(with_odometry(tmp_path, since_boot, BODY.poses))
+    poses = BODY.poses.copy()
+    poses[2, 0, 3] = np.nan
+    with pytest.raises(DatasetError, match=r"/pose \(message 2\): its position is not finite"):
+        open_dataset(with_odometry(tmp_path, DRIVE.times, poses))
+    with Bag(tmp_path, poses="/pose") as bag:
+        for time, pose in zip(DRIVE.times.tolist(), BODY.poses, strict=True):
+            bag.write("/pose", bag.odometry(0, pose, "lidar"), time)
+    with pytest.raises(DatasetError, match=r"headers have no stamps"):
+        open_dataset(bag.path)
 
 
 def test_poses_of_a_frame_that_nobody_tells(tmp_path):

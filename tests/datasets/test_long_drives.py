@@ -1,4 +1,4 @@
-"""MulRan, NCLT, HeLiPR and Boreas: what files named by their stamps may get wrong."""
+"""MulRan, NCLT, HeLiPR and Boreas: what is their own."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from formats import WRITERS
-from long_drives import (
-    COLUMNS_APART,
-)
+from long_drives import COLUMNS_APART
 from made_up import DRIVE, K
 
 from docdepth.datasets import open_dataset, usable_points
