@@ -175,19 +175,20 @@ def write_nclt(root: Path) -> Written:
 # ---- HeLiPR
 
 
-def _helipr(root: Path, name: str, write, has: set[str]) -> Written:
+def _helipr(root: Path, name: str, columns, has: set[str]) -> Written:
     sequence = root / "KAIST05"
     folder = sequence / "LiDAR" / name
     folder.mkdir(parents=True)
     for k, time in enumerate(DRIVE.times.tolist()):
-        points = {axis: ("f4", DRIVE.rows(k)[axis]) for axis in "xyz"}
-        write(folder / f"{time}.bin", k, points)
-    rows = []
+        rows = DRIVE.rows(k)
+        points = {axis: ("f4", rows[axis]) for axis in "xyz"}
+        pack(folder / f"{time}.bin", **points, **columns(k, rows))
+    lines = []
     for time, T in zip(DRIVE.times.tolist(), DRIVE.poses, strict=True):
         values = [*T[:3, 3], *matrix_to_quaternion(T[:3, :3])]
-        rows.append(" ".join([str(time), *(f"{value:.12f}" for value in values)]))
+        lines.append(" ".join([str(time), *(f"{value:.12f}" for value in values)]))
     (sequence / "LiDAR_GT").mkdir()
-    (sequence / "LiDAR_GT" / f"global_{name}_gt.txt").write_text("\n".join(rows) + "\n")
+    (sequence / "LiDAR_GT" / f"global_{name}_gt.txt").write_text("\n".join(lines) + "\n")
     file = folder / f"{DRIVE.times[2]}.bin"
     return Written(folder, lambda: truncate(file), has)
 
@@ -198,54 +199,42 @@ def _nanoseconds(k: int) -> np.ndarray:
 
 @writes("HeLiPR, Ouster", "helipr")
 def write_helipr_ouster(root: Path) -> Written:
-    def write(file: Path, k: int, points: dict) -> None:
-        rows = DRIVE.rows(k)
-        pack(
-            file, **points, intensity=("f4", rows["intensity"]), t=("u4", _nanoseconds(k)),
-            reflectivity=("u2", rows["ring"] + 500), ring=("u2", rows["ring"]),
-            ambient=("u2", rows["ring"] + 7),
-        )  # fmt: skip
+    def columns(k: int, rows: np.ndarray) -> dict:
+        return {"intensity": ("f4", rows["intensity"]), "t": ("u4", _nanoseconds(k)),
+                "reflectivity": ("u2", rows["ring"] + 500), "ring": ("u2", rows["ring"]),
+                "ambient": ("u2", rows["ring"] + 7)}  # fmt: skip
 
-    return _helipr(root, "Ouster", write, {"intensity", "ring", "poses"})
+    return _helipr(root, "Ouster", columns, {"intensity", "ring", "poses"})
 
 
 @writes("HeLiPR, Velodyne", "helipr")
 def write_helipr_velodyne(root: Path) -> Written:
-    def write(file: Path, k: int, points: dict) -> None:
-        rows = DRIVE.rows(k)
-        pack(
-            file, **points, intensity=("f4", rows["intensity"]), ring=("u2", rows["ring"]),
-            time=("f4", DRIVE.seconds(k)),
-        )  # fmt: skip
+    def columns(k: int, rows: np.ndarray) -> dict:
+        return {"intensity": ("f4", rows["intensity"]), "ring": ("u2", rows["ring"]),
+                "time": ("f4", DRIVE.seconds(k))}  # fmt: skip
 
-    return _helipr(root, "Velodyne", write, {"intensity", "ring", "times", "poses"})
+    return _helipr(root, "Velodyne", columns, {"intensity", "ring", "times", "poses"})
 
 
 @writes("HeLiPR, Avia", "helipr")
 def write_helipr_avia(root: Path) -> Written:
-    def write(file: Path, k: int, points: dict) -> None:
-        rows = DRIVE.rows(k)
-        pack(
-            file, **points, reflectivity=("u1", rows["intensity"]), tag=("u1", rows["ring"] + 16),
-            line=("u1", rows["ring"]), offset_time=("u4", _nanoseconds(k)),
-        )  # fmt: skip
+    def columns(k: int, rows: np.ndarray) -> dict:
+        return {"reflectivity": ("u1", rows["intensity"]), "tag": ("u1", rows["ring"] + 16),
+                "line": ("u1", rows["ring"]), "offset_time": ("u4", _nanoseconds(k))}  # fmt: skip
 
-    return _helipr(root, "Avia", write, {"intensity", "ring", "poses"})
+    return _helipr(root, "Avia", columns, {"intensity", "ring", "poses"})
 
 
 @writes("HeLiPR, Aeva", "helipr")
 def write_helipr_aeva(root: Path) -> Written:
     """As sessions after August 2023 have it, with one number more."""
 
-    def write(file: Path, k: int, points: dict) -> None:
-        rows = DRIVE.rows(k)
-        pack(
-            file, **points, reflectivity=("f4", rows["intensity"]), velocity=("f4", rows["share"]),
-            time_offset_ns=("i4", _nanoseconds(k) - DRIVE.period // 2),
-            line_index=("u1", rows["ring"]), intensity=("f4", rows["share"]),
-        )  # fmt: skip
+    def columns(k: int, rows: np.ndarray) -> dict:
+        return {"reflectivity": ("f4", rows["intensity"]), "velocity": ("f4", rows["share"]),
+                "time_offset_ns": ("i4", _nanoseconds(k) - DRIVE.period // 2),
+                "line_index": ("u1", rows["ring"]), "intensity": ("f4", rows["share"])}  # fmt: skip
 
-    return _helipr(root, "Aeva", write, {"intensity", "ring", "times", "poses"})
+    return _helipr(root, "Aeva", columns, {"intensity", "ring", "times", "poses"})
 
 
 # ---- Boreas

@@ -20,7 +20,7 @@ from docdepth.geometry.se3 import poses_from, rotation_exp
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.pcd import PcdError, read_pcd
 from docdepth.io.ply import write_vertices
-from docdepth.io.poses import write_tum
+from docdepth.io.poses import write_kitti, write_tum
 
 T_OTHER = poses_from([rotation_exp([0.1, -0.05, 0.5])], [[0.3, 1.2, -0.4]])[0]
 
@@ -185,8 +185,6 @@ def test_a_declared_instant_moves_the_points(folder: Path) -> None:
 
 
 def test_a_jump_of_the_points_clock_is_told(folder: Path, caplog) -> None:
-    from docdepth.io.ply import write_vertices
-
     rows = folder_rows(3)
     rows["time"] += 4.0
     write_vertices(folder / "000003.ply", rows, [])
@@ -225,24 +223,17 @@ def test_poses_of_other_times_are_told(folder: Path, caplog) -> None:
 
 def test_points_of_the_world_come_to_the_lidar(folder: Path) -> None:
     """Doubles of a map far away lose nothing."""
-    from docdepth.io.ply import write_vertices
-    from docdepth.io.poses import write_kitti
-
     far = DRIVE.poses.copy()
     far[:, :3, 3] += [431_000, 5_400_000, 120]
     write_kitti(folder / "poses.txt", far)
     for k in range(DRIVE.count):
         rows = folder_rows(k)
-        wide = np.empty(
-            len(rows), [(n, "<f8" if n in "xyz" else rows.dtype[n]) for n in rows.dtype.names]
-        )
-        for name in rows.dtype.names:
-            wide[name] = rows[name]
+        doubles = [(n, "<f8" if n in "xyz" else rows.dtype[n]) for n in rows.dtype.names]
         moved = DRIVE.points(k).astype("f8") @ far[k, :3, :3].T + far[k, :3, 3]
-        empty = (DRIVE.points(k) == 0).all(axis=1)
-        for j, axis in enumerate("xyz"):
-            wide[axis] = np.where(empty, 0, moved[:, j])
-        write_vertices(folder / f"{k:06d}.ply", wide, [])
+        moved[(DRIVE.points(k) == 0).all(axis=1)] = 0  # no returns
+        rows = rows.astype(doubles)
+        rows["x"], rows["y"], rows["z"] = moved.T
+        write_vertices(folder / f"{k:06d}.ply", rows, [])
     change(folder, frame="world")
     dataset = open_dataset(folder)
     check(dataset, "folder")
@@ -254,31 +245,20 @@ def test_points_of_the_world_come_to_the_lidar(folder: Path) -> None:
 
 
 def test_two_lidars(tmp_path: Path) -> None:
-    from docdepth.io.ply import write_vertices
-
     clouds = tmp_path / "clouds"
-    for name in ("front", "rear"):
+    for name in ("left", "right"):
         (clouds / name).mkdir(parents=True)
         for k in range(DRIVE.count):
             rows = folder_rows(k)
-            if name == "rear":
+            if name == "right":
                 own = (DRIVE.points(k).astype("f8") - T_OTHER[:3, 3]) @ T_OTHER[:3, :3]
                 rows["x"], rows["y"], rows["z"] = own.T
             write_vertices(clouds / name / f"{k:06d}.ply", rows, [])
-    (clouds / "front_times.txt").write_text("")
     lidars = {
-        "front": {"sweeps": "front", "times": "stamps.txt"},
-        "rear": {"sweeps": "rear", "times": "stamps.txt", "T_lidar_sensor": T_OTHER.tolist()},
+        "left": {"sweeps": "left", "times": "stamps.txt"},
+        "right": {"sweeps": "right", "times": "stamps.txt", "T_lidar_sensor": T_OTHER.tolist()},
     }
-    (clouds / "front_times.txt").unlink()
-    (clouds / "images").mkdir()
-    write_beside(clouds / "images", lidars=lidars)
-    for file in ("stamps.txt", "poses.txt", "docdepth.yaml", "front.txt"):
-        (clouds / "images" / file).rename(clouds / file)
-    entries = yaml.safe_load((clouds / "docdepth.yaml").read_text())
-    entries["cameras"]["front"]["images"] = "images/front"
-    del entries["times"]
-    (clouds / "docdepth.yaml").write_text(yaml.safe_dump(entries))
+    write_beside(clouds, lidars=lidars, times=None)
     dataset = open_dataset(clouds)
     check(dataset, "folder")
     n, kept = len(DRIVE.rows(0)), DRIVE.usable(0)
@@ -311,45 +291,36 @@ def test_where_the_lidar_looks_from(folder: Path) -> None:
 # ---- mistakes in docdepth.yaml
 
 
+CAMERA = {"K": [9, 9, 5, 5], "size": [10, 10]}
+
+
 @pytest.mark.parametrize(
     ("entries", "message"),
     [
-        (
-            {"motion_compansated": True},
-            "motion_compansated is unknown; there are ego_boxes, masks, moti",
-        ),
+        ({"motion_compansated": True}, "motion_compansated is unknown; there are ego_boxes"),
         ({"cameras": {"a": {"k": [1]}}}, "cameras.a.k is unknown"),
-        ({"scene": "city", "seed": 3}, "scene, seed are unknown; there are ego_boxes, [^;]*$"),
+        ({"scene": "city", "seed": 3}, "scene, seed are unknown"),
         ({"motion_compensated": "maybe"}, "_compensated is 'maybe': it must be true or false$"),
         ({"stamp": "begin"}, "stamp is 'begin': it must be 'start', 'middle' or 'end'"),
         ({"times": None, "rate": 0}, "rate is 0: it must be greater than 0"),
-        ({"times": "gone.txt"}, r"gone.txt is missing; say times: FILE or rate: 10"),
+        ({"times": "gone.txt"}, "gone.txt is missing"),
         ({"sweeps": "gone"}, "gone, the folder of the sweeps, is not there"),
-        ({"poses": "gone.txt"}, "gone.txt is missing; give the file of the poses"),
-        ({"cameras": {"a": {"K": [1, 2]}}}, "a: K must be 4 numbers fx fy cx cy, or 9"),
-        ({"cameras": {"a": {"K": [9, 9, 5, 5]}}}, r"a has neither images nor size"),
-        (
-            {"cameras": {"a": {"K": [9, float("nan"), 5, 5], "size": [10, 10]}}},
-            "docdepth.yaml, a: K must be a 3x3 pinhole matrix",
-        ),
-        (
-            {"cameras": {"a": {"K": [9, 9, 5, 5], "size": [10, 10]}}},
-            "T_camera_lidar must be 16 numbers",
-        ),
-        (
-            {"cameras": {"a": {"K": [9, 9, 5, 5], "size": [10, 10], "T_camera_lidar": [2.0] * 16}}},
-            "T_camera_lidar must be a rotation and a translation in metres",
-        ),
+        ({"poses": "gone.txt"}, "gone.txt is missing"),
+        ({"cameras": {"a": {"K": [1, 2]}}}, "a: K must be 4 numbers"),
+        ({"cameras": {"a": {"K": [9, 9, 5, 5]}}}, "a has neither images nor size"),
+        ({"cameras": {"a": CAMERA | {"K": [9, float("nan"), 5, 5]}}}, "a: K must be a 3x3"),
+        ({"cameras": {"a": CAMERA}}, "T_camera_lidar must be 16 numbers"),
+        ({"cameras": {"a": CAMERA | {"T_camera_lidar": [2.0] * 16}}}, "T_camera_lidar must be a r"),
         ({"cameras": {"a": {"images": "gone"}}}, "a: .*gone holds no images"),
-        ({"labels": "gone"}, "docdepth.yaml: there is no folder .*gone of labels"),
-        ({"lidars": {"a": {"sweeps": "."}}}, "docdepth.yaml: sweeps and times are of one LiDAR"),
+        ({"labels": "gone"}, "there is no folder .*gone of labels"),
+        ({"lidars": {"a": {"sweeps": "."}}}, "sweeps and times are of one LiDAR"),
         (
             {
                 "times": None,
                 "lidars": {n: {"sweeps": ".", "times": "stamps.txt"} for n in "ab"},
                 "sensor_origin": [0, 0, 1],
             },
-            "sensor_origin is of one LiDAR, but there are 2.*docdepth.yaml",
+            "sensor_origin is of one LiDAR, but there are 2",
         ),
     ],
 )
