@@ -1,5 +1,6 @@
 """Each mistake with boards has its own message, with the remedy."""
 
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,13 @@ from docdepth.geometry.se3 import rotation_exp
 SIZE = (LENS.width, LENS.height)
 
 
+@contextmanager
+def refused(code):
+    with pytest.raises(CalibrationError) as error:
+        yield
+    assert error.value.code == code
+
+
 def find_all(given, board=BOARD, lens=LENS):
     return find(board, given, SIZE, lens)
 
@@ -27,7 +35,7 @@ def with_other(exact_pairs, k, other):
 
 def test_too_few_boards(exact_pairs):
     few = [*exact_pairs[:3], replace(exact_pairs[3], corners=None)]
-    with pytest.raises(CalibrationError, match=r"found in 3 of 4 images, at least 4.*not in pose3"):
+    with refused("few-boards"):
         find_all(few)
 
 
@@ -41,25 +49,25 @@ def test_a_board_out_of_the_picture(exact_pairs):
 def test_parallel_boards():
     poses = [pose(away, angle, -0.2, 0, 0, 10 * k) for k, (away, angle) in
              enumerate([(2.6, 0), (3.0, 0), (3.4, 1), (3.8, -1), (4.2, 0)])]  # fmt: skip
-    with pytest.raises(CalibrationError, match=r"too parallel.*Tilt the board by 20 to 40 degrees"):
+    with refused("parallel-boards"):
         find_all(pairs(poses))
 
 
 def test_another_size_of_the_board(exact_pairs):
     wider = replace(BOARD, width=BOARD.width + 0.1)
-    with pytest.raises(CalibrationError, match=r"measures about 0\.6\d x 0\.9\d m.*not 0\.78"):
+    with refused("size-of-board"):
         find_all(exact_pairs, wider)
 
 
 def test_another_size_of_the_squares(exact_pairs):
     larger = replace(BOARD, square=1.08 * BOARD.square)
-    with pytest.raises(CalibrationError, match=r"squares measure 0\.1(19|20)\d m, not 0\.129"):
+    with refused("size-of-squares"):
         find_all(exact_pairs, larger)
 
 
 def test_a_board_of_quite_another_size(exact_pairs):
     small = Board(4, 6, 0.05, 0.3, 0.4)
-    with pytest.raises(CalibrationError, match="sizes of board and squares right, in metres"):
+    with refused("board-not-found"):
         find_all(exact_pairs, small)
 
 
@@ -71,13 +79,13 @@ def test_another_checkerboard_in_one_image(exact_pairs):
 
 def test_wrong_k(exact_pairs):
     lens = replace(LENS, K=LENS.K * ((1.5,), (1.0,), (1.0,)))
-    with pytest.raises(CalibrationError, match="right, in metres, and K"):
+    with refused("board-not-found"):
         find_all(exact_pairs, lens=lens)
 
 
 def test_corners_of_another_checkerboard(exact_pairs):
     others = [replace(p, corners=np.roll(p.corners, 3, axis=0)) for p in exact_pairs]
-    with pytest.raises(CalibrationError, match="K, the lens model or the number of corners is"):
+    with refused("corners-misfit"):
         find_all(others)
 
 
@@ -97,7 +105,7 @@ def test_a_wall_behind_the_board_and_a_box(exact_pairs):
 
 def test_walls_behind_all_boards():
     walled = [pair(f"pose{k}", T, wall=0.04) for k, T in enumerate(all_poses()[:5])]
-    with pytest.raises(CalibrationError, match=r"15 cm or more in front of walls.*\(`boxes`\)"):
+    with refused("board-not-found"):
         find_all(walled)
 
 
@@ -134,7 +142,7 @@ def test_a_board_hidden_from_the_lidar(exact_pairs):
 def test_images_and_sweeps_that_do_not_belong_together():
     poses = all_poses()
     mixed = [pair(f"pose{k}", T, poses[(3 * k + 1) % 8]) for k, T in enumerate(poses)]
-    with pytest.raises(CalibrationError, match="Do images and sweeps belong"):
+    with refused("board-not-found"):
         find_all(mixed)
 
 
@@ -157,13 +165,13 @@ def test_boards_that_all_disagree(calibrated, monkeypatch):
     monkeypatch.setattr(module, "find", lambda *_: (found, calibrated.solution, {}))
     monkeypatch.setattr(module, "solve_bundle", lambda *_: calibrated.solution)
     monkeypatch.setattr(module, "leave_one_out", lambda *_: left_out)
-    with pytest.raises(CalibrationError, match=r"disagree with each other, and leaving out 3 does"):
+    with refused("boards-disagree"):
         module.calibrate(BOARD, [], SIZE, LENS)
 
 
 def test_k_of_images_of_another_size(exact_pairs):
     half = replace(LENS, width=LENS.width // 2, height=LENS.height // 2)
-    with pytest.raises(CalibrationError, match=r"images of 320x200 pixels, these have 640x400"):
+    with refused("size-of-images"):
         find_all(exact_pairs, lens=half)
 
 

@@ -15,7 +15,7 @@ from docdepth.config import parameters
 from docdepth.datasets import CameraStream
 from docdepth.diagnostics import calibration
 from docdepth.diagnostics.calibration import RunEdges, compare, edges_of_images, judge
-from docdepth.diagnostics.map_edges import edges_of_map, pixels_of_tracks
+from docdepth.diagnostics.edge_fit import edges_of_map, pixels_of_tracks
 from docdepth.errors import CalibrationError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import rotation_exp

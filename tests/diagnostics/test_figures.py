@@ -14,8 +14,7 @@ from docdepth.diagnostics.lidar_figures import (
     shared_rays,
     spacing,
 )
-from docdepth.diagnostics.overlap import share_on
-from docdepth.diagnostics.poses import Window, explain_misfit, pose_figures, windows_of
+from docdepth.diagnostics.poses import Window, explain_misfit, pose_figures, share_on, windows_of
 from docdepth.diagnostics.sweep_figures import ego_body, row_shares
 from docdepth.geometry.ground_plane import find_ground, level_turn
 from docdepth.geometry.se3 import inverse

@@ -12,7 +12,7 @@ import pytest
 
 from command_line import cli
 from docdepth.errors import DamagedFileError, DatasetError, InputError
-from docdepth.evaluation.class_names import CLASS_NAMES
+from docdepth.evaluation.label_counts import CLASS_NAMES
 from docdepth.evaluation.pixels import depth_edges, edge_distance
 from docdepth.evaluation.runs import evaluate_depth
 from docdepth.geometry.camera import Camera, below_horizon

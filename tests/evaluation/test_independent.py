@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_evaluation_depth import fill_by_the_kit
 
-from docdepth.evaluation.class_names import CLASS_NAMES
+from docdepth.evaluation.label_counts import CLASS_NAMES
 from docdepth.evaluation.runs import evaluate_depth, evaluate_labels
 from docdepth.io.run_folder import RunFolder
 

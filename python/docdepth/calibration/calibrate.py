@@ -146,7 +146,8 @@ def calibrate(
         if len(kept) < FEWEST_BOARDS or count - len(kept) > _MOST_DISAGREE * count:
             raise CalibrationError(
                 f"the boards disagree with each other, and leaving out {count - len(kept)} does "
-                "not help: " + "; ".join(f"{name}: {reason}" for name, reason in not_used.items())
+                "not help: " + "; ".join(f"{name}: {reason}" for name, reason in not_used.items()),
+                code="boards-disagree",
             )
         check_varied(start.T_camera_board[:, :3, 2], "that agree")
     turn, shift = uncertainty(boards)
@@ -193,12 +194,14 @@ def find(
         names = f": not in {', '.join(not_used)}" if not_used else ""
         raise CalibrationError(
             f"too few boards: the checkerboard was found in {len(in_image)} of {len(pairs)} "
-            f"images, at least {FEWEST_BOARDS} are needed, 10 or more are better{names}"
+            f"images, at least {FEWEST_BOARDS} are needed, 10 or more are better{names}",
+            code="few-boards",
         )
     if lens is not None and (lens.width, lens.height) != size:
         raise CalibrationError(
             f"K is of images of {lens.width}x{lens.height} pixels, these have {size[0]}x{size[1]}; "
-            "say K of this size, or have it estimated (`model`)"
+            "say K of this size, or have it estimated (`model`)",
+            code="size-of-images",
         )
     known = lens or estimate_lens(board, [corners for _, corners in in_image], size, model)[0]
     seen, misfits = _seen_boards(board, in_image, known)
@@ -229,7 +232,8 @@ def _seen_boards(
         raise CalibrationError(
             f"the corners of {len(misfits)} of {len(in_image)} images do not fit a "
             f"checkerboard seen through this lens (more than {_MOST_PIXELS:.0f} px): K, the lens "
-            "model or the number of corners is wrong"
+            "model or the number of corners is wrong",
+            code="corners-misfit",
         )
     return seen, misfits
 

@@ -70,7 +70,8 @@ def check_varied(normals: Floats, where: str) -> None:
             f"the {len(normals)} boards {where} are too parallel (condition {condition:.3f}, at "
             f"least {LEAST_CONDITION}; at most {widest:.0f} degrees from their mean): they do not "
             "fix the extrinsic. Tilt the board by 20 to 40 degrees, in some pairs to the left and "
-            "right, in some up and down"
+            "right, in some up and down",
+            code="parallel-boards",
         )
 
 
@@ -105,7 +106,8 @@ def find_boards(
         if len(found) < FEWEST_BOARDS:
             raise CalibrationError(
                 f"the board was found in {len(found)} of {len(seen)} sweeps, at least "
-                f"{FEWEST_BOARDS} are needed: {_listed(not_used)}"
+                f"{FEWEST_BOARDS} are needed: {_listed(not_used)}",
+                code="few-boards",
             )
         swept = np.stack([o.T_lidar_board for o in found])
         check_varied(swept[:, :3, 2], "found in the sweeps")
@@ -137,7 +139,8 @@ def _first_extrinsic(board: Board, seen: Sequence[SeenBoard], progress: Progress
         f"boards on a flat, free patch of {board.width} x {board.height} m. Are the sizes of board "
         "and squares right, in metres, and K? Do columns and width come before rows and height? Do "
         "images and sweeps belong together? The board must stand "
-        f"{100 * PAST:.0f} cm or more in front of walls and people; else say where it is (`boxes`)"
+        f"{100 * PAST:.0f} cm or more in front of walls and people; else say where it is (`boxes`)",
+        code="board-not-found",
     )
 
 

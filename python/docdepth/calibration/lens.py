@@ -109,7 +109,8 @@ def estimate_lens(
     if len(corners) < FEWEST_IMAGES:
         raise CalibrationError(
             f"K needs the board in at least {FEWEST_IMAGES} images, it was found in "
-            f"{len(corners)}; take more images, or say K in docdepth.yaml"
+            f"{len(corners)}; take more images, or say K in docdepth.yaml",
+            code="few-boards",
         )
     places = [board.corners[None].astype(np.float32) for _ in corners]
     pixels = [c[None].astype(np.float32) for c in corners]
@@ -131,6 +132,7 @@ def estimate_lens(
     if not np.isfinite(K).all() or error > _MOST_ERROR:
         raise CalibrationError(
             f"a {model} lens misses the corners by {error:.1f} px (at most {_MOST_ERROR}); is it "
-            "the right model (`model`), and the right number of corners?"
+            "the right model (`model`), and the right number of corners?",
+            code="corners-misfit",
         )
     return Lens(model, np.asarray(K, np.float64), distortion, *size), float(error)

@@ -71,7 +71,8 @@ def board_pairs(
     if unknown:
         raise CalibrationError(
             f"`boxes` names {unknown[0]}, but {stream.name} has no such image; there are "
-            f"{', '.join(stream.names[:5])}{' and more' if len(stream.names) > 5 else ''}"
+            f"{', '.join(stream.names[:5])}{' and more' if len(stream.names) > 5 else ''}",
+            code="unknown-image",
         )
     stills = _are_stills(recording.times)
     together = _stills(recording, stream) if stills else _moments(recording, stream)
@@ -88,7 +89,8 @@ def board_pairs(
                 f"{recording.path} shows the board in {len(found)} images, but standing still for "
                 f"a second at {len(kept)} moments, and {FEWEST_BOARDS} or more are needed: put it "
                 "down in each pose for two seconds. If each image is another pose, say rate: 1 in "
-                "docdepth.yaml"
+                "docdepth.yaml",
+                code="few-boards",
             )
         together, corners = [together[k] for k in kept], [corners[k] for k in kept]
     pairs = []
@@ -210,7 +212,8 @@ def _check_count(
             raise CalibrationError(
                 f"{image} shows a checkerboard of {count[0]}x{count[1]} inner corners, not "
                 f"{board.columns}x{board.rows}; count the points where four squares meet, not the "
-                "squares (`corners`)"
+                "squares (`corners`)",
+                code="number-of-corners",
             )
 
 

@@ -157,7 +157,8 @@ def check_size(board: Board, observations: Sequence[Observation], T_lidar_camera
     if max(abs(width - board.width), abs(height - board.height)) > _LEAST_SIZE:
         raise CalibrationError(
             f"the board measures about {width:.2f} x {height:.2f} m in the sweeps, not "
-            f"{board.width} x {board.height} m; measure it, and mind the order of width and height"
+            f"{board.width} x {board.height} m; measure it, and mind the order of width and height",
+            code="size-of-board",
         )
     seen = np.stack([o.T_camera_board for o in observations])
     swept = np.stack([o.T_lidar_board for o in observations])
@@ -166,7 +167,8 @@ def check_size(board: Board, observations: Sequence[Observation], T_lidar_camera
         raise CalibrationError(
             f"the distances of the LiDAR say that squares measure {board.square * scale:.4f} m, "
             f"not {board.square} m; measure them. If they are right, K is wrong by "
-            f"{100 * abs(scale - 1):.0f} %"
+            f"{100 * abs(scale - 1):.0f} %",
+            code="size-of-squares",
         )
 
 

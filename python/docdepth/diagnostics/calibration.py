@@ -14,8 +14,15 @@ from numpy.typing import NDArray
 from docdepth.concurrency import Progress
 from docdepth.datasets import CameraStream
 from docdepth.diagnostics.alignment import Change, in_words
-from docdepth.diagnostics.edge_fit import EdgeFit, Edges, displaced, fit_edges, profiles
-from docdepth.diagnostics.map_edges import edges_of_map, pixels_of_tracks
+from docdepth.diagnostics.edge_fit import (
+    EdgeFit,
+    Edges,
+    displaced,
+    edges_of_map,
+    fit_edges,
+    pixels_of_tracks,
+    profiles,
+)
 from docdepth.diagnostics.sweeps import spread
 from docdepth.errors import CalibrationError, Finding
 from docdepth.geometry.se3 import inverse

@@ -19,8 +19,7 @@ from docdepth.diagnostics import recording_checks
 from docdepth.diagnostics.cameras import check_camera
 from docdepth.diagnostics.inspection import Inspection
 from docdepth.diagnostics.lidar_figures import lidar_figures
-from docdepth.diagnostics.overlap import share_on
-from docdepth.diagnostics.poses import Window, pose_figures, windows_of
+from docdepth.diagnostics.poses import Window, pose_figures, share_on, windows_of
 from docdepth.diagnostics.sweep_figures import ego_body, row_shares, time_figures
 from docdepth.diagnostics.sweeps import check_sweeps, find_lonely_returns, find_sensor_origin
 from docdepth.errors import DocDepthError, Finding, collected, in_order

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.concurrency import Progress
+from docdepth.datasets import CameraStream
 from docdepth.diagnostics.calibration import (
     IMAGES,
     CalibrationCheck,
@@ -146,24 +147,37 @@ def edges_of_run(
 ) -> RunEdges:
     """Read what :func:`check_calibration` compares; its parameters and errors."""
     folder = RunFolder.open(run)
-    name = folder.depth_folder(camera)
     if folder.parameters.render.primitive == "splats":
         raise CalibrationError(
             f"{folder.path} draws splats, which reach over the edges of things; compare a run with "
             "render.primitive=triangles, as preset default has"
         )
+    stream, maps = images_and_maps(folder, camera, "compare depth with")
+    indices = [k for k, image in enumerate(stream.names) if image in maps]
+    return edges_of_images(
+        folder.path, stream, indices, lambda k: read_depth(maps[stream.names[k]]),
+        folder.trajectory(), tracks_in(folder.path), progress,
+    )  # fmt: skip
+
+
+def images_and_maps(
+    folder: RunFolder, camera: str | None, purpose: str
+) -> tuple[CameraStream, dict[str, Path]]:
+    """A camera of a run with its images, and its depth maps by name.
+
+    Raises
+    ------
+    RunError
+        The run has no depth maps, or they are out of date.
+    DatasetError
+        The recording has no images for this purpose.
+    """
+    name = folder.depth_folder(camera)
     require(folder, f"render {folder.camera_in(name)}")
     stream = recorded_camera(folder, name)
     if stream is None or not stream.images:
-        raise DatasetError(f"{folder.path}: its recording has no images to compare depth with")
-    maps = maps_in(folder.path / "depth" / name)
-    indices = [k for k, image in enumerate(stream.names) if image in maps]
-    tracks = tracks_in(folder.path)
-    depth = {k: maps[stream.names[k]] for k in indices}
-    return edges_of_images(
-        folder.path, stream, indices, lambda k: read_depth(depth[k]), folder.trajectory(), tracks,
-        progress,
-    )  # fmt: skip
+        raise DatasetError(f"{folder.path}: its recording has no images to {purpose}")
+    return stream, maps_in(folder.path / "depth" / name)
 
 
 def difference(

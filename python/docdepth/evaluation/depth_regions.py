@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError
-from docdepth.evaluation.class_names import class_name
+from docdepth.evaluation.label_counts import class_name
 from docdepth.evaluation.pixels import Mask
 from docdepth.geometry.camera import below_horizon
 from docdepth.io.npy import ArrayError, read_arrays

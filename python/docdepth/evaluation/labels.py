@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
-from docdepth.evaluation.class_names import class_name
 from docdepth.evaluation.label_counts import (
     HEADER,
     NOTE,
     LabelCounts,
+    class_name,
     classes_of,
     ignored,
     moving,

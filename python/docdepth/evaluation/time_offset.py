@@ -18,17 +18,16 @@ from numpy.typing import NDArray
 
 from docdepth.concurrency import Progress
 from docdepth.datasets import CameraStream
-from docdepth.diagnostics.map_edges import pixels_of_tracks
+from docdepth.diagnostics.edge_fit import pixels_of_tracks
 from docdepth.diagnostics.sweeps import spread
-from docdepth.errors import CalibrationError, DatasetError
+from docdepth.errors import CalibrationError
+from docdepth.evaluation.camera_error import images_and_maps
 from docdepth.evaluation.followed_points import Window, follow, predicted, smooth_pose
 from docdepth.geometry.se3 import inverse, rotation_exp, rotation_log
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.depth import maps_in, read_depth
+from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
-from docdepth.pipeline.plan import require
-from docdepth.pipeline.run_cameras import recorded_camera
 from docdepth.pipeline.run_inputs import open_cameras, open_recording
 
 Floats = NDArray[np.float64]
@@ -136,12 +135,8 @@ def time_offset(
         The drive does not tell the offset to ten milliseconds, or it is larger than 0.2 s.
     """
     folder = RunFolder.open(run)
-    name = folder.depth_folder(camera)
-    require(folder, f"render {folder.camera_in(name)}")
-    stream = recorded_camera(folder, name)
-    if stream is None or not stream.images:
-        raise DatasetError(f"{folder.path}: its recording has no images to follow points in")
-    windows = _windows(folder, stream, maps_in(folder.path / "depth" / name), progress)
+    stream, maps = images_and_maps(folder, camera, "follow points in")
+    windows = _windows(folder, stream, maps, progress)
     return offset_of(windows, stream, folder.trajectory(), folder.path)
 
 
