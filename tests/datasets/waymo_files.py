@@ -45,9 +45,9 @@ def images_of(name: str, images: list[np.ndarray]) -> dict:
     }
 
 
-def frame_names(times: np.ndarray = DRIVE.times) -> list[int]:
+def frame_names() -> list[int]:
     """Microseconds of the start of each revolution."""
-    return (microseconds(times) // 1000 - 50_000).tolist()
+    return (microseconds(DRIVE.times) // 1000 - 50_000).tolist()
 
 
 def vehicle_poses() -> np.ndarray:
@@ -75,9 +75,7 @@ def pixel_poses(T: np.ndarray, height: int, width: int) -> np.ndarray:
     return np.tile(np.array([*angles, *T[:3, 3]], np.float32), (height, width, 1))
 
 
-def write_calibration(
-    root: Path, lidars: dict[int, np.ndarray], inclinations: np.ndarray = INCLINATIONS
-) -> None:
+def write_calibration(root: Path, lidars: dict[int, np.ndarray]) -> None:
     """Of TOP each laser, of the others the least and the greatest inclination."""
     name = "[LiDARCalibrationComponent]"
     numbers = list(lidars)
@@ -88,13 +86,13 @@ def write_calibration(
             "key.laser_name": numbers,
             f"{name}.extrinsic.transform": [lidars[n].ravel().tolist() for n in numbers],
             f"{name}.beam_inclination.min": [
-                float(inclinations[0]) if n == 1 else -1.5 for n in numbers
+                float(INCLINATIONS[0]) if n == 1 else -1.5 for n in numbers
             ],
             f"{name}.beam_inclination.max": [
-                float(inclinations[-1]) if n == 1 else 0.5 for n in numbers
+                float(INCLINATIONS[-1]) if n == 1 else 0.5 for n in numbers
             ],
             f"{name}.beam_inclination.values": [
-                inclinations.tolist() if n == 1 else None for n in numbers
+                INCLINATIONS.tolist() if n == 1 else None for n in numbers
             ],
         },
     )
@@ -118,10 +116,10 @@ def write_calibration(
     )
 
 
-def write_poses(root: Path, poses: np.ndarray, times: np.ndarray = DRIVE.times) -> None:
+def write_poses(root: Path, poses: np.ndarray) -> None:
     name = "[VehiclePoseComponent].world_from_vehicle.transform"
     matrices = [T.ravel().tolist() for T in poses]
-    rows = {"key.frame_timestamp_micros": frame_names(times), name: matrices}
+    rows = {"key.frame_timestamp_micros": frame_names(), name: matrices}
     write_component(root, "vehicle_pose", rows)
 
 
@@ -145,11 +143,9 @@ def write_images(root: Path, poses: np.ndarray, shutter: float = 0.0) -> None:
     )
 
 
-def write_lidar(
-    root: Path, images: dict[int, list[np.ndarray]], times: np.ndarray = DRIVE.times
-) -> Path:
+def write_lidar(root: Path, images: dict[int, list[np.ndarray]]) -> Path:
     """Sweeps of LiDARs, in no order."""
-    rows = [(name, n, k) for n in images for k, name in enumerate(frame_names(times))][::-1]
+    rows = [(name, n, k) for n in images for k, name in enumerate(frame_names())][::-1]
     return write_component(
         root,
         "lidar",
@@ -161,13 +157,13 @@ def write_lidar(
     )
 
 
-def write_pixel_poses(root: Path, poses: list[np.ndarray], times: np.ndarray = DRIVE.times) -> Path:
+def write_pixel_poses(root: Path, poses: list[np.ndarray]) -> Path:
     name = "[LiDARPoseComponent].range_image_return1"
     return write_component(
         root,
         "lidar_pose",
         {
-            "key.frame_timestamp_micros": frame_names(times),
+            "key.frame_timestamp_micros": frame_names(),
             "key.laser_name": [1] * len(poses),
             **images_of(name, poses),
         },
