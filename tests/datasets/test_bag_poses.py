@@ -161,7 +161,7 @@ def test_odometry_that_does_not_fit(tmp_path):
         open_dataset(with_odometry(tmp_path, since_boot, BODY.poses))
     poses = BODY.poses.copy()
     poses[2, 0, 3] = np.nan
-    with pytest.raises(DatasetError, match=r"/pose \(message 2\): its position is not finite"):
+    with pytest.raises(DatasetError, match=r"/pose \(message 2\)"):
         open_dataset(with_odometry(tmp_path, DRIVE.times, poses))
     with Bag(tmp_path, poses="/pose") as bag:
         for time, pose in zip(DRIVE.times.tolist(), BODY.poses, strict=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -66,6 +66,15 @@ class SweepFiles:
     def files(self, index: int) -> list[Path]:
         """The file of own sweep ``index``."""
         return [self.sweeps[index]]
+
+
+def rows_of(columns: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+    """Rows with a field for each column."""
+    types = [(name, column.dtype) for name, column in columns.items()]
+    rows = np.empty(len(next(iter(columns.values()), ())), types)
+    for name, column in columns.items():
+        rows[name] = column
+    return rows
 
 
 def cloud_from_fields(rows: NDArray[Any], where: str) -> Cloud:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.cloud import Cloud, cloud_from_fields
+from docdepth.datasets.cloud import Cloud, cloud_from_fields, rows_of
 from docdepth.datasets.files import unreadable
 from docdepth.datasets.point_format import foreign_format
 from docdepth.errors import DamagedFileError, DatasetError, InputError, MissingExtraError, RunError
@@ -150,11 +150,7 @@ def _named(table: NDArray[Any], rows: RowFormat, where: str) -> NDArray[Any]:
             f"{where} has shape {table.shape}, not (points, {len(columns)}) with the columns "
             f"{' '.join(columns)}; say columns in docdepth.yaml"
         )
-    kept = [(k, name) for k, name in enumerate(columns) if name != "_"]
-    named = np.empty(len(table), [(name, table.dtype) for _, name in kept])
-    for k, name in kept:
-        named[name] = table[:, k]
-    return named
+    return rows_of({name: table[:, k] for k, name in enumerate(columns) if name != "_"})
 
 
 def _read_las(file: Path, where: str, rows: RowFormat) -> Cloud:
@@ -174,10 +170,7 @@ def _read_las(file: Path, where: str, rows: RowFormat) -> Cloud:
         columns["gps_time"] = np.asarray(las.gps_time, "f8")
     for name in las.point_format.extra_dimension_names:
         columns[name.lower()] = np.asarray(las[name])
-    named = np.empty(len(las.x), [(name, column.dtype) for name, column in columns.items()])
-    for name, column in columns.items():
-        named[name] = column
-    return cloud_from_fields(named, where)
+    return cloud_from_fields(rows_of(columns), where)
 
 
 READERS: dict[str, Callable[[Path, str, RowFormat], Cloud]] = {

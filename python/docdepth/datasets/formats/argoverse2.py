@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
-from docdepth.datasets.cloud import Cloud, SweepFiles, cloud_from_fields
+from docdepth.datasets.cloud import Cloud, SweepFiles, cloud_from_fields, rows_of
 from docdepth.datasets.files import unreadable
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import image_files, in_order
@@ -45,9 +45,7 @@ class ArgoverseLidar(SweepFiles):
         first, end = _LIDARS[self.stream.name]
         laser = table["laser_number"]
         kept = (laser >= first) & (laser < end)
-        rows = np.empty(int(kept.sum()), [(name, table[name].dtype) for name in _COLUMNS])
-        for name in _COLUMNS:
-            rows[name] = table[name][kept]
+        rows = rows_of({name: table[name][kept] for name in _COLUMNS})
         cloud = cloud_from_fields(rows, where)
         T = inverse(self.T_ego_sensor)
         points = cloud.points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
-from docdepth.datasets.cloud import Cloud, cloud_from_fields
+from docdepth.datasets.cloud import Cloud, cloud_from_fields, rows_of
 from docdepth.datasets.files import read_json
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing
@@ -74,9 +74,7 @@ class DgpLidar:
             raise DatasetError(
                 f"{where} has shape {table.shape}, but the scene says {' '.join(columns)}; {_COPY}"
             )
-        rows = np.empty(len(table), [(name, table.dtype) for name in columns])
-        for k, name in enumerate(columns):
-            rows[name] = table[:, k]
+        rows = rows_of({name: table[:, k] for k, name in enumerate(columns)})
         return cloud_from_fields(rows, where)
 
     def files(self, index: int) -> list[Path]:

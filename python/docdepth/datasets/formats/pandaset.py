@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
-from docdepth.datasets.cloud import Cloud, SweepFiles, cloud_from_fields
+from docdepth.datasets.cloud import Cloud, SweepFiles, cloud_from_fields, rows_of
 from docdepth.datasets.files import read_bytes, read_json
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing, image_files, image_size, in_order
@@ -88,9 +88,7 @@ class PandaLidar(SweepFiles):
         if lacking:
             raise DatasetError(f"{where} has no column {lacking[0]}; {_COPY}")
         kept = table["d"] == _SPINNING
-        rows = np.empty(int(kept.sum()), [(name, "f8") for name in "xyzit"])
-        for name in "xyzit":
-            rows[name] = table[name][kept]
+        rows = rows_of({name: table[name][kept].astype("f8") for name in "xyzit"})
         return cloud_from_fields(rows, where)
 
 

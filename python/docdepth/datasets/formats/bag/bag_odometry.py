@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from docdepth.datasets.formats.bag.bag_file import BagFile
 from docdepth.datasets.formats.bag.bag_transforms import read_transforms
 from docdepth.datasets.formats.bag.ros_frames import TRANSFORMS, StaticFrames
-from docdepth.errors import CalibrationError, DatasetError, InputError
-from docdepth.geometry.se3 import poses_from, quaternion_to_matrix
+from docdepth.datasets.pose_tables import pose_of
+from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.trajectory import Trajectory
 
 log = logging.getLogger(__name__)
@@ -241,10 +241,4 @@ def _trajectory(times: list[int], poses: list[Any], bag: BagFile, topic: str) ->
 
 def _pose(pose: Any, where: str) -> NDArray[np.float64]:
     p, q = pose.position, pose.orientation
-    try:
-        rotation = quaternion_to_matrix([q.x, q.y, q.z, q.w])
-    except InputError as error:
-        raise DatasetError(f"{where}: {error}") from None
-    if not np.isfinite([p.x, p.y, p.z]).all():
-        raise DatasetError(f"{where}: its position is not finite")
-    return poses_from([rotation], [[p.x, p.y, p.z]])[0]
+    return pose_of([q.w, q.x, q.y, q.z], [p.x, p.y, p.z], where)

@@ -10,8 +10,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import InputError
-from docdepth.geometry.se3 import inverse, poses_from, quaternion_to_matrix
+from docdepth.datasets.pose_tables import pose_of
+from docdepth.errors import DatasetError
+from docdepth.geometry.se3 import inverse
 
 log = logging.getLogger(__name__)
 
@@ -47,7 +48,7 @@ class StaticFrames:
                 try:
                     self._connect(parent, child, _rigid(one.transform))
                     self._parents[child] = parent
-                except InputError as error:
+                except DatasetError as error:
                     log.warning(
                         "the static transform of %r in %r is left out: %s", child, parent, error
                     )
@@ -92,14 +93,5 @@ class StaticFrames:
 
 
 def _rigid(transform: Any) -> NDArray[np.float64]:
-    """A transform as (4, 4).
-
-    Raises
-    ------
-    InputError
-        It is none.
-    """
     t, q = transform.translation, transform.rotation
-    if not np.isfinite([t.x, t.y, t.z]).all():
-        raise InputError(f"its translation is ({t.x}, {t.y}, {t.z})")
-    return poses_from([quaternion_to_matrix([q.x, q.y, q.z, q.w])], [[t.x, t.y, t.z]])[0]
+    return pose_of([q.w, q.x, q.y, q.z], [t.x, t.y, t.z], "it")
