@@ -18,7 +18,7 @@ from docdepth.datasets import (
     open_dataset,
     usable_points,
 )
-from docdepth.errors import DocDepthError
+from docdepth.errors import DatasetError, DocDepthError
 
 
 def test_every_format_is_written_by_a_test() -> None:
@@ -44,6 +44,21 @@ def test_loader(what: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> 
             open_dataset(written.path).sweep(2)
         assert file.name in str(caught.value)
         assert "frame 2" in str(caught.value) or "frame_000002" in str(caught.value)
+
+
+@pytest.mark.parametrize("what", ["kitti_raw", "kitti_odometry", "folder of ply"])
+def test_labels_beside_the_sweeps(what: str, tmp_path: Path) -> None:
+    path = WRITERS[what][1](tmp_path).path
+    file = path / "labels" / f"{open_dataset(path).sweep(1).name}.label"
+    file.parent.mkdir()
+    labels = np.arange(len(DRIVE.rows(1)), dtype="<u4") + (7 << 16)
+    labels.tofile(file)
+    dataset = open_dataset(path)
+    np.testing.assert_array_equal(dataset.labels(1), labels)
+    assert dataset.labels(0) is None
+    labels[:-1].tofile(file)
+    with pytest.raises(DatasetError, match=rf"{file.name} \(frame 1\).* 401 points"):
+        dataset.labels(1)
 
 
 def _check_content(dataset: Dataset, written: Written) -> None:

@@ -69,18 +69,6 @@ def test_a_missing_sweep_keeps_the_others_at_their_times(raw: Path) -> None:
     np.testing.assert_array_equal(open_dataset(raw).times, times[[0, 2, 3]])
 
 
-def test_labels_beside_a_drive(raw: Path) -> None:
-    (raw / "labels").mkdir()
-    labels = np.arange(51, dtype="<u4") + (7 << 16)
-    labels.tofile(raw / "labels" / "0000000001.label")
-    dataset = open_dataset(raw)
-    np.testing.assert_array_equal(dataset.labels(1), labels)
-    assert dataset.labels(0) is None
-    labels[:-1].tofile(raw / "labels" / "0000000001.label")
-    with pytest.raises(DatasetError, match=r"0000000001\.label \(frame 1\).*51 points"):
-        dataset.labels(1)
-
-
 def test_sequence(sequence: Path) -> None:
     dataset = open_dataset(sequence)
     assert isinstance(dataset, Dataset)

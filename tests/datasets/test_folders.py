@@ -267,18 +267,6 @@ def test_two_lidars(tmp_path: Path) -> None:
     np.testing.assert_array_equal(sweep.sensor_rig.T_lidar_sensor[1], T_OTHER)
 
 
-def test_labels_beside_the_sweeps(folder: Path) -> None:
-    (folder / "labels").mkdir()
-    labels = np.arange(401, dtype="<u4")
-    labels.tofile(folder / "labels" / "000001.label")
-    dataset = open_dataset(folder)
-    np.testing.assert_array_equal(dataset.labels(1), labels)
-    assert dataset.labels(0) is None
-    labels[:-1].tofile(folder / "labels" / "000001.label")
-    with pytest.raises(DatasetError, match=r"000001.label \(frame 1\) has 1600 bytes.* 401 points"):
-        dataset.labels(1)
-
-
 def test_where_the_lidar_looks_from(folder: Path) -> None:
     change(folder, sensor_origin=[0.1, 0, 0.2])
     rig = open_dataset(folder).sweep(1).sensor_rig
