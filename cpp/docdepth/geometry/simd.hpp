@@ -1,6 +1,7 @@
 // Vectorised kernels. One binary serves old and new processors: each kernel is compiled twice, for
 // AVX2 and for the baseline, and the version is chosen at run time. Both are the same source
-// without fused operations (CMakeLists.txt), so their results are the same bits.
+// without fused operations (CMakeLists.txt), so their results are the same bits. That is also why
+// no library is used: where a processor has fused operations, they take them.
 #pragma once
 
 #include <cmath>

