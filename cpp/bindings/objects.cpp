@@ -79,7 +79,7 @@ py::array_t<Row> rows_to_numpy(std::vector<Row>&& rows) {
 }
 
 /// The object of each point, as the row of its first point, which comes before or at the point.
-const std::uint32_t* as_objects(const Array<std::uint32_t>& array, py::ssize_t size) {
+const std::uint32_t* as_object_column(const Array<std::uint32_t>& array, py::ssize_t size) {
   const std::uint32_t* objects = as_column(array, size, "objects");
   for (py::ssize_t i = 0; i < size; ++i)
     if (objects[i] > i || objects[objects[i]] != objects[i])
@@ -139,7 +139,7 @@ py::array_t<std::uint8_t> classified(const Array<float>& points, const Array<boo
                                      const ScanMesh& mesh, const ClassificationOptions& options) {
   const VotedSweep sweep(points, ground, static_votes, dynamic_votes);
   check_mesh(mesh, sweep.points.rows());
-  const std::uint32_t* first = as_objects(objects, sweep.points.rows());
+  const std::uint32_t* first = as_object_column(objects, sweep.points.rows());
   std::vector<std::uint8_t> dynamic;
   {
     const py::gil_scoped_release release;
@@ -155,7 +155,7 @@ py::array_t<std::uint8_t> with_isolated(const Array<float>& points, const Array<
                                         const Array<std::uint16_t>& dynamic_votes,
                                         const Array<bool>& dynamic) {
   const VotedSweep sweep(points, ground, static_votes, dynamic_votes);
-  const std::uint32_t* first = as_objects(objects, sweep.points.rows());
+  const std::uint32_t* first = as_object_column(objects, sweep.points.rows());
   std::vector<std::uint8_t> result = copy_flags(dynamic, sweep.points.rows(), "dynamic");
   {
     const py::gil_scoped_release release;
@@ -197,7 +197,7 @@ std::shared_ptr<Detections> make_detections(const Array<float>& points, const Ar
   check_mesh(mesh, count);
   const PointEvidence evidence{
       as_flags(ground, count, "ground"),
-      as_objects(objects, count),
+      as_object_column(objects, count),
       as_flags(dynamic, count, "dynamic"),
       as_flags(occupied_once, count, "occupied_once"),
       as_column(first_occupied, count, "first_occupied"),

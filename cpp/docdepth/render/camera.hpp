@@ -23,6 +23,11 @@ inline Eigen::Vector3f ray_of(const Camera& camera, float u, float v) {
 struct Box {
   Eigen::Vector3f center = Eigen::Vector3f::Zero();
   Eigen::Vector3f extent = Eigen::Vector3f::Zero();  ///< half the edges
+
+  /// By its corners, a millimetre larger, since center and extent are rounded.
+  static Box around(const Eigen::Vector3f& low, const Eigen::Vector3f& high) {
+    return {(low + high) / 2, (high - low) / 2 + Eigen::Vector3f::Constant(1e-3f)};
+  }
 };
 
 /// Pixels [begin_u, end_u) x [begin_v, end_v) of an image.

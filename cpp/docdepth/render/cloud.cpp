@@ -27,11 +27,6 @@ std::uint32_t cell(float x, float y) {
   return sector * kRings + ring;
 }
 
-Box box_around(const Eigen::Vector3f& low, const Eigen::Vector3f& high) {
-  // A millimetre larger, since center and extent are rounded.
-  return {(low + high) / 2, (high - low) / 2 + Eigen::Vector3f::Constant(1e-3f)};
-}
-
 }  // namespace
 
 Cloud::Cloud(const Points& points, const std::vector<std::uint8_t>& keep,
@@ -69,13 +64,13 @@ Cloud::Cloud(const Points& points, const std::vector<std::uint8_t>& keep,
         block_low = block_low.cwiseMin(Eigen::Vector3f(x_[i], y_[i], z_[i]));
         block_high = block_high.cwiseMax(Eigen::Vector3f(x_[i], y_[i], z_[i]));
       }
-      blocks_.push_back({box_around(block_low, block_high), begin, end});
+      blocks_.push_back({Box::around(block_low, block_high), begin, end});
       low = low.cwiseMin(block_low);
       high = high.cwiseMax(block_high);
       begin = end;
     }
   }
-  if (count) box_ = box_around(low, high);
+  if (count) box_ = Box::around(low, high);
 }
 
 Frame::Frame(const Points& points, const std::uint16_t* classid, double crop) {

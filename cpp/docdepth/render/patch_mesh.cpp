@@ -61,10 +61,6 @@ Order by_direction(const std::vector<std::uint16_t>& cells,
   return order;
 }
 
-Box box_around(const Vector& low, const Vector& high) {
-  return {(low + high) / 2, (high - low) / 2 + Vector::Constant(1e-3f)};
-}
-
 }  // namespace
 
 MeshVertices::MeshVertices(const std::vector<Vector>& vertices,
@@ -91,7 +87,7 @@ PatchMesh::PatchMesh(MeshVertices& vertices, const std::vector<TriangleIndices>&
 
   const auto close = [&] {
     if (patches_.empty()) return;
-    patches_.back().box = box_around(patch_low, patch_high);
+    patches_.back().box = Box::around(patch_low, patch_high);
     low = low.cwiseMin(patch_low);
     high = high.cwiseMax(patch_high);
   };
@@ -130,7 +126,7 @@ PatchMesh::PatchMesh(MeshVertices& vertices, const std::vector<TriangleIndices>&
     ++patch.triangles;
   }
   close();
-  if (!patches_.empty()) box_ = box_around(low, high);
+  if (!patches_.empty()) box_ = Box::around(low, high);
   for (auto* axis : {&x_, &y_, &z_}) axis->resize(axis->size() + kPadding);
 }
 

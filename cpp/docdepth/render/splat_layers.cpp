@@ -12,7 +12,7 @@ namespace docdepth {
 namespace {
 
 /// The measurements of a pixel. Sums of integers, so that their order does not matter.
-struct Tally {
+struct SplatTally {
   std::atomic<std::uint64_t> best{~0ull};  // relative difference (32 bits), number of the point
   std::atomic<std::uint32_t> support{0}, measures{0};
   std::atomic<std::int64_t> sum{0}, squares{0};  // of differences in kSteps
@@ -22,7 +22,7 @@ constexpr float kSteps = 1 << 20;  // to 1: relative differences are summed as i
 
 /// Compare the splat of one point with the depth map.
 void compare(const Camera& camera, const Eigen::Vector3f& p, int size, std::uint32_t number,
-             const float* depth, Tally* tallies) {
+             const float* depth, SplatTally* tallies) {
   // The same operations as in splats.cpp, so that the pixel is the same.
   const float column = (float(camera.fx) * p.x()) / p.z() + float(camera.cx) + 0.5f;
   const float row = (float(camera.fy) * p.y()) / p.z() + float(camera.cy) + 0.5f;
@@ -36,7 +36,7 @@ void compare(const Camera& camera, const Eigen::Vector3f& p, int size, std::uint
     for (int at = std::max(u - half, 0); at <= std::min(u + half, camera.width - 1); ++at) {
       const std::size_t i = std::size_t(v + dv) * camera.width + at;
       if (!(depth[i] > 0)) continue;
-      Tally& tally = tallies[i];
+      SplatTally& tally = tallies[i];
       tally.measures.fetch_add(1, std::memory_order_relaxed);
       const float off = (p.z() - depth[i]) / depth[i], difference = std::fabs(off);
       if (difference > kAgree) continue;
@@ -54,7 +54,7 @@ void compare(const Camera& camera, const Eigen::Vector3f& p, int size, std::uint
   }
 }
 
-float deviation_of(const Tally& tally, float depth) {
+float deviation_of_splats(const SplatTally& tally, float depth) {
   const double n = tally.support;
   if (n < 2) return std::numeric_limits<float>::quiet_NaN();
   const double sum = double(tally.sum), squares = double(tally.squares);
@@ -66,7 +66,7 @@ float deviation_of(const Tally& tally, float depth) {
 Layers layers_of_splats(const Camera& camera, const std::vector<PlacedCloud>& clouds,
                         const float* depth, int threads) {
   const std::size_t pixels = std::size_t(camera.width) * camera.height;
-  const auto tallies = std::make_unique<Tally[]>(pixels);
+  const auto tallies = std::make_unique<SplatTally[]>(pixels);
   std::vector<std::uint32_t> first{0};  // number of the first point of each cloud
   for (const auto& placed : clouds)
     first.push_back(first.back() + std::uint32_t(placed.cloud->size()));
@@ -87,7 +87,7 @@ Layers layers_of_splats(const Camera& camera, const std::vector<PlacedCloud>& cl
 
   Layers layers(camera, false);
   for (std::size_t i = 0; i < pixels; ++i) {
-    const Tally& tally = tallies[i];
+    const SplatTally& tally = tallies[i];
     if (!tally.support) continue;
     const auto number = std::uint32_t(tally.best.load());
     const std::size_t c =
@@ -100,7 +100,7 @@ Layers layers_of_splats(const Camera& camera, const std::vector<PlacedCloud>& cl
     layers.range[i] = Eigen::Vector3f(cloud.x()[k], cloud.y()[k], cloud.z()[k]).norm();
     layers.support[i] = std::uint16_t(std::min<std::uint32_t>(tally.support, 65535));
     layers.measures[i] = std::uint16_t(std::min<std::uint32_t>(tally.measures, 65535));
-    layers.deviation[i] = deviation_of(tally, depth[i]);
+    layers.deviation[i] = deviation_of_splats(tally, depth[i]);
   }
   return layers;
 }
