@@ -175,16 +175,14 @@ def test_k_of_images_of_another_size(exact_pairs):
         find_all(exact_pairs, lens=half)
 
 
-def test_a_lens_of_another_kind_is_told_by_the_corners_near_the_border(caplog):
-    names, usual = ["a", "b", "c", "d"], [(0.2, 0.01)] * 3
-    module._warn_of_lens(names, [*usual, (0.75, 0.01)], LENS, True)
-    assert caplog.text == "", "less may be blur"
-    module._warn_of_lens(names, [*usual, (1.8, 0.01)], LENS, True)
-    assert "corners of d miss by 1.8 px, usual are 0.2 px" in caplog.text
-    assert "try `model='fisheye'`" in caplog.text
-    caplog.clear()
-    module._warn_of_lens(names, [*usual, (1.8, 0.01)], LENS, False)
-    assert "have them estimated (`model`)" in caplog.text
+@pytest.mark.parametrize(
+    ("worst", "estimated", "codes"),
+    [(0.75, True, []), (1.8, True, ["another-lens"]), (1.8, False, ["lens-misfit"])],
+)
+def test_a_lens_of_another_kind_is_told_by_the_corners_near_the_border(worst, estimated, codes):
+    errors = [*[(0.2, 0.01)] * 3, (worst, 0.01)]
+    found = module.check_lens(["a", "b", "c", "d"], errors, LENS, estimated)
+    assert [one.code for one in found] == codes
 
 
 def test_a_turned_board_is_no_other_board(exact_pairs):

@@ -101,7 +101,6 @@ def test_what_drives_along_is_no_shift(overtaking: Dataset) -> None:
 @pytest.mark.parametrize(
     ("turn", "text"),
     [
-        ({"pan": 1.5}, "turns 1.5 degrees to the right"),
         ({"pan": -2}, "turns 2 degrees to the left"),
         ({"tilt": 1.5}, "turns 1.5 degrees up"),
         ({"tilt": -3}, "turns 3 degrees down"),

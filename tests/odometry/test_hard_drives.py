@@ -37,8 +37,7 @@ def test_sixteen_beams_on_a_motorway(tmp_path: Path, seed: int) -> None:
     assert errors_of_steps(tmp_path, 2.5).max() < 0.15
 
 
-@pytest.mark.parametrize("scene", ["highway", "overtaking"])
-@pytest.mark.parametrize("seed", [7, 31])
+@pytest.mark.parametrize(("scene", "seed"), [("highway", 31), ("overtaking", 7)])
 def test_a_narrow_view_of_a_motorway(tmp_path: Path, scene: str, seed: int) -> None:
     """Most of what an Avia sees there is road, and lorries that go along."""
     write_drive(tmp_path, scene, "Avia", 12, seed)
@@ -86,15 +85,12 @@ def test_a_sweep_that_is_lost_without_a_gap_in_the_stamps() -> None:
     assert pose_errors(estimate_poses(drive), drive.exact).max() < 0.03
 
 
-@pytest.mark.parametrize("share", [0.0, 0.4])
-def test_a_road_on_which_nothing_holds_the_vehicle(
-    share: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_road_on_which_nothing_holds_the_vehicle(monkeypatch: pytest.MonkeyPatch) -> None:
     rng, align = np.random.default_rng(1), Registration.align
 
     def unsure(self: Registration, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         pose, covariance = align(self, guess)
-        if rng.random() < share:
+        if rng.random() < 0.4:
             pose[0, 3] += rng.choice([-0.6, 0.6])
             covariance = 0.03**2 * np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
         return pose, covariance
@@ -102,4 +98,4 @@ def test_a_road_on_which_nothing_holds_the_vehicle(
     monkeypatch.setattr(Registration, "align", unsure)
     findings: list[Finding] = []
     estimate_poses(Drive(24), findings=findings)
-    assert [f.code for f in findings] == ["registration-disagrees"] * (share > 0)
+    assert [f.code for f in findings] == ["registration-disagrees"]

@@ -146,6 +146,7 @@ def test_raw_sweeps_at_speed() -> None:
     result = register_drive(drive)
     errors = pose_errors(result.trajectory.poses, drive.exact)
     assert errors.max() < 0.01
+    assert not result.findings
     np.testing.assert_array_equal(result.trajectory.times, drive.times)
     for k in (0, 5, 11):
         sweep = drive.sweep(k)
@@ -157,7 +158,7 @@ def test_raw_sweeps_at_speed() -> None:
         assert np.abs(points - exact)[near].max() < 0.01
 
 
-@pytest.mark.parametrize("speed", [0.0, 2.0, 3.5])
+@pytest.mark.parametrize("speed", [0.0, 3.5])
 def test_the_first_motion_is_found_at_any_speed(speed: float) -> None:
     drive = Drive(6, motion=se3_exp(np.array([0.0, 0.0, 0.01]), np.array([speed, 0.0, 0.0])))
     result = register_drive(drive)

@@ -30,7 +30,7 @@ from docdepth.calibration.quality import (
 from docdepth.calibration.sweeps import BoardSweep
 from docdepth.concurrency import Progress
 from docdepth.datasets.images import ImageSource
-from docdepth.errors import CalibrationError
+from docdepth.errors import CalibrationError, Finding, log_findings
 from docdepth.geometry.se3 import inverse
 
 log = logging.getLogger(__name__)
@@ -82,6 +82,8 @@ class Calibration:
         Standard deviations about the camera's axes.
     not_used : dict of str to str
         Pairs that were not used, and why.
+    findings : tuple of Finding
+        What looks wrong; each is logged as well.
     """
 
     observations: list[Observation]
@@ -92,6 +94,7 @@ class Calibration:
     turn_deg: Floats
     shift_cm: Floats
     not_used: dict[str, str]
+    findings: tuple[Finding, ...] = ()
 
     @property
     def lens(self) -> Lens:
@@ -152,7 +155,8 @@ def calibrate(
         check_varied(start.T_camera_board[:, :3, 2], "that agree")
     turn, shift = uncertainty(boards)
     errors = residuals(board, observations, solution)
-    _warn_of_lens([o.name for o in observations], errors, solution.lens, free_lens)
+    findings = check_lens([o.name for o in observations], errors, solution.lens, free_lens)
+    log_findings(log, findings)
     return Calibration(
         observations,
         solution,
@@ -162,6 +166,7 @@ def calibrate(
         turn,
         shift,
         not_used,
+        tuple(findings),
     )
 
 
@@ -254,17 +259,18 @@ def _that_disagree(boards: Sequence[LeftOutBoard]) -> dict[str, str]:
     }
 
 
-def _warn_of_lens(
+def check_lens(
     names: Sequence[str], errors: Sequence[tuple[float, float]], lens: Lens, estimated: bool
-) -> None:
-    """A lens that fits most corners but not those near the border is of another kind."""
+) -> list[Finding]:
+    """Whether a lens that fits most corners, but not those near the border, is of another kind."""
     pixels = np.array([error for error, _ in errors])
     worst, usual = int(np.argmax(pixels)), float(np.median(pixels))
-    if pixels[worst] > max(_MISFIT, _TIMES_MEDIAN * usual):
+    if pixels[worst] <= max(_MISFIT, _TIMES_MEDIAN * usual):
+        return []
+    missed = f"the corners of {names[worst]} miss by {pixels[worst]:.1f} px, usual are {usual:.1f}"
+    if estimated:
         other = next(model for model in MODELS if model != lens.model)
-        log.warning(
-            "the corners of %s miss by %.1f px, usual are %.1f px: %s",
-            names[worst], pixels[worst], usual,
-            f"a {lens.model} lens does not take them so; try `model={other!r}`" if estimated
-            else "K and distortion do not hold there; have them estimated (`model`)",
-        )  # fmt: skip
+        text = f"{missed}: a {lens.model} lens does not take them so"
+        return [Finding("another-lens", "", text, f"try `model={other!r}`")]
+    text = f"{missed}: K and distortion do not hold there"
+    return [Finding("lens-misfit", "", text, "have them estimated (`model`)")]

@@ -31,6 +31,8 @@ from docdepth.evaluation.tables import Table, number, percent, plain, ratio
 
 Mode = Literal["valid", "kitti"]
 
+_HEAD = ("protocol", "poses", "images", "max_range", "density", "density_on_surfaces")
+
 # Ranges that are reported apart [m].
 RANGE_BINS = (0.0, 10.0, 20.0, 30.0, 50.0, 80.0)
 
@@ -61,6 +63,10 @@ class RangeErrors:
     near: float
     far: float
     errors: RegionErrors
+
+    def as_dict(self) -> dict[str, float]:
+        """Borders and errors by name."""
+        return {"near": max(self.near, 0), "far": self.far, **self.errors.as_dict()}
 
 
 @dataclass(frozen=True)
@@ -121,26 +127,17 @@ class DepthResult:
     def as_dict(self) -> dict[str, Any]:
         """All metrics by name, ready for JSON; None replaces NaN."""
         result: dict[str, Any] = {
-            "protocol": self.protocol,
-            "poses": self.poses,
-            "images": self.images,
-            "max_range": self.max_range,
-            "density": self.density,
-            "density_on_surfaces": self.density_on_surfaces,
+            **{name: getattr(self, name) for name in _HEAD},
             **asdict(self.kitti),
             "point_to_point": self.point_to_point,
             "all": self.all.as_dict(),
             "interior": self.interior.as_dict(),
         }
-        if self.dynamic is not None:
+        if self.dynamic is not None and self.dynamic_interior is not None:
             result["dynamic"] = self.dynamic.as_dict()
-        if self.dynamic_interior is not None:
             result["dynamic_interior"] = self.dynamic_interior.as_dict()
         for name in ("by_range", "by_edge_distance"):
-            result[name] = [
-                {"near": max(row.near, 0), "far": row.far, **row.errors.as_dict()}
-                for row in getattr(self, name)
-            ]
+            result[name] = [row.as_dict() for row in getattr(self, name)]
         result["regions"] = {name: errors.as_dict() for name, errors in self.regions.items()}
         if self.equal_pixels is not None:
             names = ("these", "other")
@@ -151,9 +148,8 @@ class DepthResult:
     def table(self) -> Table:
         """Errors by region and range, one row each."""
         rows = [("all", *self.all.cells()), ("interior", *self.interior.cells())]
-        if self.dynamic is not None:
+        if self.dynamic is not None and self.dynamic_interior is not None:
             rows.append(("moving objects", *self.dynamic.cells()))
-        if self.dynamic_interior is not None:
             rows.append(("their interior", *self.dynamic_interior.cells()))
         for row in self.by_range:
             rows.append((f"{row.near:g}..{row.far:g} m", *row.errors.cells()))

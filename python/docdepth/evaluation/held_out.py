@@ -89,7 +89,7 @@ class HeldOutResult:
         regions = {name: getattr(self, name).as_dict() for name in _REGIONS}
         regions["all"]["point_to_point"] = self.point_to_point
         regions["clear"]["point_to_point"] = self.clear_point_to_point
-        ranges = [{"near": r.near, "far": r.far, **r.errors.as_dict()} for r in self.by_range]
+        ranges = [r.as_dict() for r in self.by_range]
         head = {"sweeps": self.sweeps, "max_range": self.max_range, "left_out": self.left_out}
         camera = {"camera": {"mae": self.camera_mae, "wrong": self.camera_wrong}}
         return dict(plain({**head, **regions, **camera, "by_range": ranges, "found": self.found}))
