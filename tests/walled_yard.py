@@ -3,6 +3,7 @@
 import numpy as np
 
 from docdepth.geometry.trajectory import Trajectory
+from lidar_rays import scan_rays
 
 
 def pose(x=0.0, y=0.0, yaw=0.0):
@@ -12,13 +13,8 @@ def pose(x=0.0, y=0.0, yaw=0.0):
     return T
 
 
-ELEVATION, AZIMUTH = np.meshgrid(
-    np.radians(np.arange(-15, 3, 0.4)), np.radians(np.arange(-180, 180, 0.25)), indexing="ij"
-)
-RAYS = np.stack(
-    [np.cos(ELEVATION) * np.cos(AZIMUTH), np.cos(ELEVATION) * np.sin(AZIMUTH), np.sin(ELEVATION)],
-    axis=-1,
-).reshape(-1, 3)
+ELEVATIONS, AZIMUTHS = np.arange(-15, 3, 0.4), np.arange(-180, 180, 0.25)
+RAYS = scan_rays(np.radians(ELEVATIONS), np.radians(AZIMUTHS)).reshape(-1, 3)
 
 
 def scan(T_world_lidar, box_x, every=1):

@@ -10,6 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from docdepth.geometry.scan_mesh import ScanMesh
+from lidar_rays import TURN, directions
 
 EMPTY = np.float32(np.inf)
 
@@ -174,22 +175,21 @@ def triangle_image(sweep, mesh, columns):
 
     Corners are counted in ``columns`` x 65536ths of a turn, exactly.
     """
-    turn = 65536
     azimuth, elevation = directions(sweep)
-    x = ((turn // 2 - azimuth) * columns)[mesh.triangles]
-    y = ((turn // 4 - elevation) * columns)[mesh.triangles]
-    x += np.where(x[:, :1] - x > turn // 2 * columns, turn * columns, 0)
-    x -= np.where(x - x[:, :1] > turn // 2 * columns, turn * columns, 0)
+    x = ((TURN // 2 - azimuth) * columns)[mesh.triangles]
+    y = ((TURN // 4 - elevation) * columns)[mesh.triangles]
+    x += np.where(x[:, :1] - x > TURN // 2 * columns, TURN * columns, 0)
+    x -= np.where(x - x[:, :1] > TURN // 2 * columns, TURN * columns, 0)
     # Pixel k has its centre at (2 k + 1) turn / 2. Try all pixels of each bounding box.
     (left, right), (top, bottom) = (
-        ((c.min(1) - turn // 2 + turn - 1) // turn, (c.max(1) - turn // 2) // turn) for c in (x, y)
+        ((c.min(1) - TURN // 2 + TURN - 1) // TURN, (c.max(1) - TURN // 2) // TURN) for c in (x, y)
     )
     width, height = np.maximum(right - left + 1, 0), np.maximum(bottom - top + 1, 0)
     triangle = np.repeat(np.arange(len(x)), width * height)
     start = np.cumsum(width * height) - width * height
     nth = np.arange(len(triangle)) - start[triangle]
     column, row = left[triangle] + nth % width[triangle], top[triangle] + nth // width[triangle]
-    px, py = column * turn + turn // 2, row * turn + turn // 2
+    px, py = column * TURN + TURN // 2, row * TURN + TURN // 2
     inside = np.ones(len(triangle), bool)
     for i, j in ((0, 1), (1, 2), (2, 0)):
         ax, ay, bx, by = (c[triangle, k] for k in (i, j) for c in (x, y))
@@ -201,41 +201,12 @@ def triangle_image(sweep, mesh, columns):
 
 def nearest_corner(sweep, mesh, columns, triangle, row, column):
     """Angle from the centre of a pixel to its triangle's nearest corner, in steps of 1/8 pixel."""
-    turn = 65536
     azimuth, elevation = (angle[mesh.triangles[triangle]] for angle in directions(sweep))
-    x = (turn // 2 - azimuth) * columns - (column * turn + turn // 2)[:, None]
-    y = (turn // 4 - elevation) * columns - (row * turn + turn // 2)[:, None]
-    x = (x + turn * columns // 2) % (turn * columns) - turn * columns // 2
-    steps = np.floor(np.sqrt((x * x + y * y).min(axis=1)) / (turn / 8))
+    x = (TURN // 2 - azimuth) * columns - (column * TURN + TURN // 2)[:, None]
+    y = (TURN // 4 - elevation) * columns - (row * TURN + TURN // 2)[:, None]
+    x = (x + TURN * columns // 2) % (TURN * columns) - TURN * columns // 2
+    steps = np.floor(np.sqrt((x * x + y * y).min(axis=1)) / (TURN / 8))
     return np.float32(2 * np.pi / columns / 8) * np.minimum(steps, 63).astype(np.float32)
-
-
-def directions(points):
-    """Azimuth and elevation in 65536ths of a turn, as the mesh counts them."""
-    x, y, z = points.T
-    azimuth, elevation = (
-        np.floor(angle * (np.float32(1) / np.float32(2 * np.pi / 65536)) + np.float32(0.5))
-        for angle in (atan2_fixed(y, x), atan2_fixed(z, np.sqrt(x * x + y * y)))
-    )
-    azimuth = azimuth.astype(np.int64)
-    return np.where(azimuth >= 32768, azimuth - 65536, azimuth), elevation.astype(np.int64)
-
-
-def atan2_fixed(y, x):
-    """Abramowitz and Stegun 4.4.49 in float32."""
-    f = np.float32
-    ax, ay = np.abs(x), np.abs(y)
-    low, high = np.minimum(ax, ay), np.maximum(ax, ay)
-    t = np.where(high > 0, low / np.where(high > 0, high, f(1)), f(0))
-    s = t * t
-    series = f(0.0028662257)
-    for coefficient in (-0.0161657367, 0.0429096138, -0.0752896400, 0.1065626393, -0.1420889944,
-                        0.1999355085, -0.3333314528):  # fmt: skip
-        series = series * s + f(coefficient)
-    angle = t + (series * s) * t
-    angle = np.where(ay > ax, f(1.57079632679) - angle, angle)
-    angle = np.where(x < 0, f(3.14159265359) - angle, angle)
-    return np.where(y < 0, -angle, angle)
 
 
 def reference_moving(points, ground, static, dynamic, **others):

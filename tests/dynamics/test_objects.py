@@ -20,6 +20,7 @@ from docdepth.io.frames import write_trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import classify as classify_stage
 from docdepth.pipeline import run_classify, sweep_store
+from lidar_rays import scan_rays
 from walled_yard import scan, straight
 
 DEFAULT = parameters("default").dynamics
@@ -170,14 +171,8 @@ def test_objects_are_connected_points_above_the_ground(street):
 
 def _before_a_wall(met):
     """A sweep of 16 rings: what is 8 m away where `met` (16 rings, 60 columns), else a wall."""
-    azimuth, elevation = np.meshgrid(
-        np.radians(np.arange(60) - 30.0), np.radians(np.arange(16) - 8)
-    )
-    range_ = np.where(met, 8.0, 20.0)
-    flat = range_ * np.cos(elevation)
-    points = np.stack(
-        [flat * np.cos(azimuth), flat * np.sin(azimuth), range_ * np.sin(elevation)], -1
-    )
+    rays = scan_rays(np.radians(np.arange(16) - 8), np.radians(np.arange(60) - 30))
+    points = rays * np.where(met, 8, 20)[..., None]
     return points.reshape(-1, 3).astype(np.float32), np.zeros(met.size, bool)
 
 

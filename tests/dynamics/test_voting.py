@@ -95,8 +95,9 @@ def test_a_standing_vehicle_adds_one_key_frame_with_the_paper_preset():
     assert all(list(frames) == [0] for frames in chosen[1:])
 
 
-@pytest.mark.parametrize("window", [1, 3, 5, 7, 11])
-@pytest.mark.parametrize("resolution_deg", [0.2, 0.35, 1.0])
+@pytest.mark.parametrize(
+    ("window", "resolution_deg"), [(1, 1.0), (3, 0.35), (5, 0.2), (7, 1.0), (11, 0.35)]
+)
 @pytest.mark.parametrize("vote_model", ["range_image", "surface"])
 def test_votes_equal_the_reference_in_the_yard(yard, vote_model, window, resolution_deg):
     trajectory, sweeps, what = yard

@@ -11,6 +11,7 @@ from docdepth.dynamics.voting import OccupancyIntervals
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
+from lidar_rays import scan_rays
 
 MEMORY = 30  # sweeps: for so long key frames remember a place
 NOISE = 0.1  # metres: a return so far outside a thing may be its own
@@ -18,15 +19,8 @@ CAR, PERSON, POLE, WALL = (4.2, 1.8, 1.5), (0.6, 0.6, 1.7), (0.3, 0.3, 2.0), (12
 LORRY = (18.0, 2.5, 3.2)
 
 
-def rays():
-    """Directions of a LiDAR with a ring each degree."""
-    azimuth, elevation = np.radians(np.arange(-180, 180, 0.3)), np.radians(np.arange(-25, 3, 1.0))
-    azimuth, elevation = (a.ravel() for a in np.meshgrid(azimuth, elevation))
-    level = np.cos(elevation)
-    return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], 1)
-
-
-RAYS = rays()
+ELEVATIONS, AZIMUTHS = np.arange(-25, 3, 1.0), np.arange(-180, 180, 0.3)
+RAYS = scan_rays(np.radians(ELEVATIONS), np.radians(AZIMUTHS)).reshape(-1, 3)
 
 
 class Thing:
@@ -132,6 +126,15 @@ def detections_of(things, count, seed=0, joined=None, drive=None):
         detections.append(Detections(cloud, none, objects, flags, seen, ScanMesh(cloud), T))
         rows.append(firsts)
     return detections, rows
+
+
+def one_object(cloud, sweep, T=None, ground=None, times=None):
+    """Detections of a sweep in which all points but those of the ground are of a moving object."""
+    ground = np.zeros(len(cloud), bool) if ground is None else ground
+    objects = np.where(ground, np.arange(len(cloud)), 0).astype(np.uint32)
+    ends = np.full(len(cloud), sweep, np.int32)
+    seen, T = OccupancyIntervals(~ground, ends, ends), np.eye(4) if T is None else T
+    return Detections(cloud, ground, objects, ~ground, seen, ScanMesh(cloud), T, times)
 
 
 def with_options(monkeypatch, **changed):

@@ -103,9 +103,23 @@ def scattered(rng, n):
     return points
 
 
-def at(camera, T_camera_lidar, trajectory, time):
-    """View and trajectory, the first arguments of compose_depth()."""
-    return View.at(camera, T_camera_lidar, trajectory, time), trajectory
+def drawing(
+    frames, trajectory=None, time=0, parameters=TRIANGLES, camera=None, T_camera_lidar=AXES
+):
+    """The first arguments of compose_depth(). ``frames``: a list, a function, or one sweep."""
+    if trajectory is None:
+        trajectory = straight(1)
+    view = View.at(camera or small_camera(), T_camera_lidar, trajectory, time)
+    if isinstance(frames, RenderSweep):
+        return view, trajectory, lambda _: frames, parameters
+    return view, trajectory, getattr(frames, "__getitem__", frames), parameters
+
+
+def pixel_rays(camera):
+    """Directions with unit depth in the frame of the LiDAR, for AXES: (height, width, 3)."""
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    K = camera.K
+    return np.stack([np.ones(u.shape), -(u - K[0, 2]) / K[0, 0], -(v - K[1, 2]) / K[1, 1]], -1)
 
 
 def drive(rng, camera_time, parameters, n=6):

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from render_reference import AXES, TRIANGLES, at, drive, render_sweep, small_camera, straight
+from render_reference import TRIANGLES, drawing, drive, render_sweep, small_camera
 
 import docdepth._core as _core
 from docdepth.config import RenderParameters
@@ -59,27 +59,26 @@ def test_each_context_draws_what_the_cpu_draws(gl):
         for width, height, focal in [(160, 60, 60.0), (401, 230, 200.0)]:
             trajectory, frames, _ = drive(np.random.default_rng(seed), TIME, parameters)
             for time in (TIME, TIME + 150_000_000):
-                view = at(small_camera(width, height, focal), AXES, trajectory, time)
-                depth = assert_drawn_alike(gl, *view, frames.__getitem__, parameters)
+                camera = small_camera(width, height, focal)
+                depth = assert_drawn_alike(
+                    gl, *drawing(frames, trajectory, time, parameters, camera)
+                )
                 assert np.isfinite(depth).any()
     empty = render_sweep(np.empty((0, 3), np.float32), np.empty(0, np.uint16), parameters)
-    view = at(small_camera(), AXES, straight(1), 0)
-    assert np.isnan(assert_drawn_alike(gl, *view, lambda _: empty, parameters)).all()
+    assert np.isnan(assert_drawn_alike(gl, *drawing(empty, parameters=parameters))).all()
 
 
 def test_draws_from_many_threads(gl):
     trajectory, frames, _ = drive(np.random.default_rng(0), TIME, DRAWN[2])
-    asked = (*at(small_camera(), AXES, trajectory, TIME), frames.__getitem__, DRAWN[2])
+    asked = drawing(frames, trajectory, TIME, DRAWN[2])
     with ThreadPoolExecutor(3) as pool:
         list(pool.map(lambda _: assert_drawn_alike(gl, *asked), range(9)))
 
 
 def test_splats_beyond_the_limit_are_refused(gl):
     trajectory, frames, _ = drive(np.random.default_rng(1), TIME, DRAWN[2])
-    view = at(small_camera(), AXES, trajectory, TIME)
-    asked = (*view, frames.__getitem__, splats(1500, 20, 1, 1))
     with pytest.raises(BackendError, match="the cpu draws any size"):
-        compose_depth(*asked, renderer=gl)
+        compose_depth(*drawing(frames, trajectory, TIME, splats(1500, 20, 1, 1)), renderer=gl)
 
 
 FORKED = """

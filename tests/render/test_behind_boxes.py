@@ -6,7 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from render_reference import AXES, TRIANGLES, followed, moving_track, render_sweep, straight
+from render_reference import (
+    AXES,
+    TRIANGLES,
+    followed,
+    moving_track,
+    pixel_rays,
+    render_sweep,
+    straight,
+)
 
 from docdepth.errors import BackendError
 from docdepth.geometry.camera import Camera
@@ -19,6 +27,7 @@ from docdepth.render.layers import AGREED, compose_layers
 from docdepth.render.object_views import HEIGHT_MARGIN, VEHICLE_HEIGHT, boxes_in_view
 from docdepth.render.track_sweeps import seen_to_its_top
 from docdepth.render.view import View
+from lidar_rays import scan_rays
 
 CAMERA = Camera(np.array([[200.0, 0, 160], [0, 200, 80], [0, 0, 1]]), 320, 120)
 VIEW = View(CAMERA, AXES, 0)
@@ -49,15 +58,15 @@ def scene(
     trajectory = straight(9, spacing=2.0)
     start = (ahead, -0.6 * across, -1.7)  # in front of the LiDAR at sweep 6
     track = moving_track(trajectory, start, (20, across, 0), (0.5, 2.0, known or top + 1.7))
-    e, a = np.meshgrid(np.arange(-20, HIGHEST, 0.4), np.arange(*azimuths, 0.3), indexing="ij")
+    elevations, azimuths = np.arange(-20, HIGHEST, 0.4), np.arange(*azimuths, 0.3)
+    rays = scan_rays(np.radians(elevations), np.radians(azimuths))
     frames = []
     for i in range(9):
-        fired = np.ones(a.shape, bool)
+        ray = rays.reshape(-1, 3)
         if gap is not None and i >= 3:
             left = np.degrees(np.arctan(across * (0.1 * i - 0.6) / ahead))
-            fired = (a < gap[0] + left) | (a > gap[1] + left)
-        el, az = np.radians(e[fired]), np.radians(a[fired])
-        ray = np.stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)], -1)
+            fired = (azimuths < gap[0] + left) | (azimuths > gap[1] + left)
+            ray = rays[:, fired].reshape(-1, 3)
         with np.errstate(divide="ignore"):
             ground = np.where(ray[:, 2] < 0, -1.7 / ray[:, 2], np.inf)
             wall = np.where(ray[:, 0] > 0, (WALL - 2 * i) / ray[:, 0], 20.0)
@@ -79,12 +88,8 @@ def scene(
     }
 
 
-def rows_and_columns():
-    u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
-    return (u - CAMERA.K[0, 2]) / 200, (CAMERA.K[1, 2] - v) / 200  # right and up of the axis
-
-
-RIGHT, UP = rows_and_columns()
+_, LEFT, UP = np.moveaxis(pixel_rays(CAMERA), -1, 0)
+RIGHT = -LEFT
 ABOVE = (np.tan(np.radians(HIGHEST)) + 0.01 < UP) & (UP < 0.17)
 BEHIND = np.abs(RIGHT) < 0.9 / AHEAD
 BESIDE = np.abs(RIGHT) > 1.2 / AHEAD

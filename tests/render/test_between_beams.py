@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import AXES, TRIANGLES, at, render_sweep, small_camera
+from render_reference import AXES, TRIANGLES, drawing, pixel_rays, render_sweep, small_camera
 
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
@@ -49,10 +49,10 @@ def seen(origins, top, wall_elevation, behind=False):
     frames = [frame(np.array(origin), top, wall_top, behind) for origin in origins]
     camera, T_camera_lidar = small_camera(300, 200, 720.0), AXES.copy()
     T_camera_lidar[:3, 3] = -AXES[:3, :3] @ CAMERA
-    depth = compose_depth(*at(camera, T_camera_lidar, trajectory, 0), frames.__getitem__, TRIANGLES)
-    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    side, up = (u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1]
-    directions = np.stack([np.ones_like(side), -side, -up], axis=-1)
+    depth = compose_depth(
+        *drawing(frames, trajectory, 0, camera=camera, T_camera_lidar=T_camera_lidar)
+    )
+    directions = pixel_rays(camera)
     exact = first_met(CAMERA, directions, top, wall_top) - CAMERA[0]
     at_box = CAMERA + directions * (BOX - CAMERA[0])
     height = np.where(np.abs(at_box[..., 1]) < 0.9, at_box[..., 2], np.nan)

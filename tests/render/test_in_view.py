@@ -6,7 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from render_reference import AXES, TRIANGLES, at, frame_of, moving_track, small_camera, straight
+from render_reference import (
+    AXES,
+    TRIANGLES,
+    drawing,
+    frame_of,
+    moving_track,
+    small_camera,
+    straight,
+)
 from test_moving_objects import wall_and_box
 
 from docdepth.geometry.se3 import inverse, rotation_exp
@@ -69,14 +77,7 @@ def test_pixels_are_the_same_without_what_no_image_shows(kind: str) -> None:
     assert any(of.get(6) is False for of in drawn) == (kind == "person")
     for time in image_times(trajectory).tolist():
         expected, found = (
-            compose_depth(
-                *at(CAMERA, AXES, trajectory, time),
-                frames.__getitem__,
-                TRIANGLES,
-                1,
-                None,
-                tracks,
-            )
+            compose_depth(*drawing(frames, trajectory, time, camera=CAMERA), 1, None, tracks)
             for frames in (whole, cropped)
         )
         np.testing.assert_array_equal(found, expected)

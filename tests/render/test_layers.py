@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from render_reference import (
-    AXES,
     PAPER,
     TRIANGLES,
-    at,
+    drawing,
     drive,
     followed,
     moving_track,
@@ -24,6 +23,7 @@ from docdepth.render.depth_map import compose_depth
 from docdepth.render.layers import _CONFIDENCE, LAYERS, compose_layers, confidence
 from docdepth.render.selection import static_sweeps
 from docdepth.render.view import View
+from lidar_rays import scan_rays
 
 OF_SPLATS = tuple(name for name in LAYERS if name not in ("normal", "instance", "seen"))
 GROUND, WALL = -1.7, 25.0
@@ -32,7 +32,7 @@ GROUND, WALL = -1.7, 25.0
 def test_layers_of_splats_equal_plain_numpy():
     camera, time = small_camera(), 130_000_000
     trajectory, frames, clouds = drive(np.random.default_rng(5), time, PAPER)
-    scene = (*at(camera, AXES, trajectory, time), frames.__getitem__, PAPER)
+    scene = drawing(frames, trajectory, time, PAPER, camera=camera)
     depth = compose_depth(*scene)
     kept = depth.copy()
     one, two = (compose_layers(OF_SPLATS, depth, *scene, threads=t) for t in (1, 2))
@@ -84,10 +84,8 @@ def test_layers_of_splats_equal_plain_numpy():
 
 def sweep_at(x, box_at=None):
     """A sweep of a road that ends at a wall, optionally with a box that moves ahead of the ego."""
-    elevation, azimuth = np.meshgrid(np.radians(np.arange(-22, 6, 0.4)), np.radians(
-        np.arange(-60, 60, 0.25)), indexing="ij")  # fmt: skip
-    ray = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
-                    np.sin(elevation)], axis=-1).reshape(-1, 3)  # fmt: skip
+    elevations, azimuths = np.arange(-22, 6, 0.4), np.arange(-60, 60, 0.25)
+    ray = scan_rays(np.radians(elevations), np.radians(azimuths)).reshape(-1, 3)
     with np.errstate(divide="ignore"):
         road = np.where(ray[:, 2] < 0, GROUND / ray[:, 2], np.inf)
         distance = np.minimum(road, (WALL - x) / ray[:, 0])
@@ -106,7 +104,7 @@ def street(box=False):
     track = moving_track(trajectory, (10.5, 0, -1.2), (10, 0, 0), (1, 2, 1.4), of=7)
     frames = [followed(*seen, i, trajectory, track, TRIANGLES) for i, seen in enumerate(sweeps)]
     camera = Camera(np.array([[200.0, 0, 160], [0, 200, 50], [0, 0, 1]]), 320, 120)
-    scene = (*at(camera, AXES, trajectory, time), frames.__getitem__, TRIANGLES)
+    scene = drawing(frames, trajectory, time, camera=camera)
     return scene, compose_depth(*scene, tracks=Tracks([track])), Tracks([track])
 
 

@@ -9,10 +9,11 @@ import pytest
 from render_reference import (
     AXES,
     TRIANGLES,
-    at,
+    drawing,
     followed,
     frame_of,
     moving_track,
+    pixel_rays,
     render_sweep,
     small_camera,
     straight,
@@ -125,24 +126,24 @@ def wall_and_box(index, trajectory, position, width=1.6):
     return (ray * ahead[:, None]).astype(np.float32), classid
 
 
+def frames_of(trajectory, track):
+    """Sweeps that see the back of the box of a track."""
+    backs = track.poses[:, :2, 3] - (0.5, 0)
+    seen = [wall_and_box(i, trajectory, back) for i, back in enumerate(backs)]
+    return [followed(*sweep, i, trajectory, track, TRIANGLES) for i, sweep in enumerate(seen)]
+
+
 def back_of_box(camera, trajectory, track, time):
     """Distance of the back of the box, and where each pixel sees it, to the left and up."""
     here = track.pose_at(time)[0, 3] - 0.5 - trajectory.interpolate(time)[0][0, 3]
-    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    y, z = ((camera.K[k, 2] - p) / camera.K[k, k] * here for k, p in ((0, u), (1, v)))
-    return here, y, z
+    return here, *np.moveaxis(here * pixel_rays(camera), -1, 0)[1:]
 
 
 @pytest.mark.parametrize("kind", ["vehicle", "person"])
 def test_object_views_are_placed_as_plain_matrices_say(kind):
     trajectory = straight(40, spacing=0.5)
     track = moving_track(trajectory, (10.5, -1, -1), (4, 0.5, 0), (1, 1.6, 1.4), of=6, kind=kind)
-    where = [track.poses[i, :2, 3] - (0.5, 0) for i in range(40)]
-    frames = [
-        followed(*wall_and_box(i, trajectory, where[i]), i, trajectory, track, TRIANGLES)
-        for i in range(40)
-    ]
-    time = 530_000_000
+    frames, time = frames_of(trajectory, track), 530_000_000
     drawn = drawn_sweeps(trajectory, time, TRIANGLES)
     T_camera_world = AXES @ inverse(trajectory.interpolate(time)[0])
     view = View(small_camera(), T_camera_world, time)
@@ -190,7 +191,7 @@ def test_what_later_sweeps_saw_of_a_car_is_drawn_where_no_ray_looked():
             points, classid = points[low], classid[low]
         frames.append(followed(points, classid, i, trajectory, track, TRIANGLES))
     camera, time = small_camera(320, 120, 180.0), 1_040_000_000
-    asked = (*at(camera, AXES, trajectory, time), frames.__getitem__, TRIANGLES)
+    asked = drawing(frames, trajectory, time, camera=camera)
     depth = compose_depth(*asked, tracks=Tracks([track]))
     here, y, z = back_of_box(camera, trajectory, track, time)
     upper = (np.abs(y) < 0.7) & (z > -0.1) & (z < 0.3)
@@ -217,12 +218,7 @@ def test_through_a_window_the_car_is_not_drawn_where_rays_pass():
             classid[upper] = 50
         clear.append(followed(points, classid, i, trajectory, track, TRIANGLES))
     camera, time = small_camera(320, 120, 180.0), 1_040_000_000
-    depth = compose_depth(
-        *at(camera, AXES, trajectory, time),
-        clear.__getitem__,
-        TRIANGLES,
-        tracks=Tracks([track]),
-    )
+    depth = compose_depth(*drawing(clear, trajectory, time, camera=camera), tracks=Tracks([track]))
     here, y, z = back_of_box(camera, trajectory, track, time)
     wall = 30 - trajectory.interpolate(time)[0][0, 3]
     window = (np.abs(y) < 0.7) & (z > -0.2) & (z < 0.3)
@@ -241,11 +237,7 @@ def test_unassigned_points_stay_where_the_nearest_sweep_saw_them():
     depths = []
     for some in (np.arange(len(points)), order):
         frame = render_sweep(points[some], classid[some], TRIANGLES)
-        asked = (
-            *at(small_camera(), AXES, trajectory, 130_000_000),
-            lambda _, f=frame: f,
-            TRIANGLES,
-        )
+        asked = drawing(frame, trajectory, 130_000_000)
         depths.append(compose_depth(*asked))
     np.testing.assert_array_equal(*depths)
     assert (np.abs(depths[0] - 12) < 0.01).sum() > 40
@@ -290,16 +282,11 @@ def test_a_vehicle_is_drawn_from_the_further_sweeps_of_its_own_track_alone():
     """Those that an image takes for a lorry show a car beside it from too far."""
     trajectory = straight(40, spacing=0.5)
     lorry = moving_track(trajectory, (10.5, -1, -1), (4, 0.5, 0), (1, 1.6, 1.4), of=6)
-    where = [lorry.poses[i, :2, 3] - (0.5, 0) for i in range(40)]
     time = 530_000_000
     own = sweeps_of_track(lorry, trajectory, time)
     view = View(small_camera(), AXES @ inverse(trajectory.interpolate(time)[0]), time)
     for track, wanted in ((lorry, {*own}), (replace(lorry, size=np.array((1, 1.6, 0.5))), set())):
-        frames = [
-            followed(*wall_and_box(i, trajectory, where[i]), i, trajectory, track, TRIANGLES)
-            for i in range(40)
-        ]
-        drawn = drawn_sweeps(trajectory, time, TRIANGLES)
+        frames, drawn = frames_of(trajectory, track), drawn_sweeps(trajectory, time, TRIANGLES)
         drawn = drawn._replace(static=drawn.static[:1], tracked=[30, *own])
         of = object_views(view, trajectory, frames.__getitem__, drawn, Tracks([track]), 0)
         others = {drawn.with_objects[number] for *_, number in of[0][2]}

@@ -4,41 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import at, render_sweep
+from render_reference import drawing, pixel_rays, render_sweep
 
 import docdepth._core as _core
 from docdepth.config import RenderParameters
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.depth_map import compose_depth
+from lidar_rays import TURN, directions, scan_rays
 
 F = np.float32
-TURN = 65536
-AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], dtype=np.float64)
-
-
-def atan2_fixed(y, x):
-    """Abramowitz and Stegun 4.4.49, one rounded operation at a time."""
-    ax, ay = np.abs(x), np.abs(y)
-    low, high = np.minimum(ax, ay), np.maximum(ax, ay)
-    t = low / high
-    s = t * t
-    p = np.full_like(t, F(0.0028662257))
-    for c in (-0.0161657367, 0.0429096138, -0.0752896400, 0.1065626393, -0.1420889944,
-              0.1999355085, -0.3333314528):  # fmt: skip
-        p = p * s + F(c)
-    angle = t + (p * s) * t
-    angle = np.where(ay > ax, F(1.57079632679) - angle, angle)
-    angle = np.where(x < 0, F(3.14159265359) - angle, angle)
-    return np.where(y < 0, -angle, angle).astype(F)
-
-
-def direction(p):
-    unit = F(1) / (F(6.283185307179586) / F(TURN))
-    across = np.sqrt(p[:, 0] * p[:, 0] + p[:, 1] * p[:, 1])
-    azimuth = np.floor(atan2_fixed(p[:, 1], p[:, 0]) * unit + F(0.5)).astype(int)
-    azimuth[azimuth >= TURN // 2] -= TURN
-    return azimuth, np.floor(atan2_fixed(p[:, 2], across) * unit + F(0.5)).astype(int), across
 
 
 def dot(a, b):
@@ -49,7 +24,7 @@ def reference(points, normals, places, ray_origins=None):
     """Visibility of each place by brute force: every return in the nine cells around it."""
     ray_origins = np.zeros_like(points) if ray_origins is None else ray_origins
     sights = points - ray_origins
-    azimuth, elevation, _ = direction(sights)
+    azimuth, elevation = directions(sights)
     unit = F(6.283185307179586) / F(TURN)
     flat = np.sqrt(sights[:, 0] * sights[:, 0] + sights[:, 1] * sights[:, 1])
     aside = ray_origins[:, 1] * sights[:, 0] - ray_origins[:, 0] * sights[:, 1]
@@ -62,11 +37,11 @@ def reference(points, normals, places, ray_origins=None):
     columns, rows = TURN // side, (high - low) // side + 1
     column = (azimuth + TURN // 2) * columns // TURN
     row = (elevation - low) // side
-    to_azimuth, to_elevation, across = direction(places)
+    to_azimuth, to_elevation = directions(places)
     to_column = (to_azimuth + TURN // 2) * columns // TURN
     to_row = (to_elevation - low) // side
     range_ = np.sqrt(dot(places, places))
-    narrowed = across / range_
+    narrowed = np.sqrt(places[:, 0] ** 2 + places[:, 1] ** 2) / range_
     squared_range = dot(points, points)
     ends = np.sqrt(squared_range)
     offset = dot(normals, points)
@@ -155,23 +130,16 @@ def fence_and_wall(directions, x):
 
 def test_bars_of_a_fence_are_where_most_sweeps_measured_them():
     # Returns are 0.8 degrees apart, 7 pixels; a bar is 15 to 20 pixels wide.
-    a, e = np.meshgrid(np.radians(np.arange(-60, 60, 0.8)), np.radians(np.arange(-12, 12, 0.8)))
-    directions = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
-    directions = directions.reshape(-1, 3)
+    elevations, azimuths = np.arange(-12, 12, 0.8), np.arange(-60, 60, 0.8)
+    directions = scan_rays(np.radians(elevations), np.radians(azimuths)).reshape(-1, 3)
     poses = np.repeat(np.eye(4)[None], 12, axis=0)
     poses[:, 0, 3] = 0.53 * np.arange(12)
     trajectory = Trajectory(np.arange(12) * 100_000_000, poses)
     camera = Camera(np.array([[500.0, 0, 250], [0, 500, 50], [0, 0, 1]]), 501, 101)
-    columns, rows = np.meshgrid(np.arange(501) - 250, np.arange(101) - 50)
-    pixels = np.stack([np.ones(columns.shape), -columns / 500, -rows / 500], -1)
-    truth = fence_and_wall(pixels, 0.0)
+    truth = fence_and_wall(pixel_rays(camera), 0.0)
     # wrong: share of the drawn pixels; missed: share of all pixels that are wrong or empty
     drawn, wrong, missed = {}, {}, {}
-    cases = {
-        "one sweep": {"ahead": 0.1},
-        "without rays": {"visibility_sweeps": 0},
-        "with rays": {},
-    }
+    cases = {"one sweep": {"ahead": 0.1}, "without rays": {"visibility_sweeps": 0}, "with rays": {}}
     for case, settings in cases.items():
         parameters = RenderParameters(step=0.5, behind=0.0, **settings)
         frames = []
@@ -179,14 +147,12 @@ def test_bars_of_a_fence_are_where_most_sweeps_measured_them():
             ranges = fence_and_wall(directions, pose[0, 3])
             points = (directions * ranges[:, None])[(ranges > 0) & (ranges < 80)].astype(F)
             frames.append(render_sweep(points, np.full(len(points), 50, np.uint16), parameters))
-        depth = compose_depth(*at(camera, AXES, trajectory, 0), frames.__getitem__, parameters, 1)
+        depth = compose_depth(*drawing(frames, trajectory, 0, parameters, camera=camera), 1)
         known = np.isfinite(depth)
         drawn[case] = known.mean()
         wrong[case] = (np.abs(depth - truth) > 0.05 * truth)[known].mean()
         missed[case] = (~(np.abs(depth - truth) <= 0.05 * truth)).mean()
-        threaded = compose_depth(
-            *at(camera, AXES, trajectory, 0), frames.__getitem__, parameters, 3
-        )
+        threaded = compose_depth(*drawing(frames, trajectory, 0, parameters, camera=camera), 3)
         np.testing.assert_array_equal(threaded, depth)
     # One sweep leaves pixels between bar and wall empty; others fill them, with more errors.
     assert drawn["one sweep"] < 0.8

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from render_reference import AXES, PAPER, TRIANGLES, at, render_sweep, small_camera, straight
+from render_reference import AXES, PAPER, TRIANGLES, drawing, render_sweep, small_camera, straight
 
 from command_line import cli
 from docdepth.config import Parameters, parameters
@@ -78,8 +78,8 @@ def test_a_scene_gives_what_a_run_writes(drive, finished, preset, tmp_path):
     np.testing.assert_array_equal(again["class"], layers["class"])
 
 
-class Asked:
-    """Sweeps that are made when asked for."""
+class LazySweeps:
+    """Sweeps that are made when read."""
 
     def __init__(self, count):
         self.count, self.asked, self.reading = count, [], 0
@@ -107,7 +107,7 @@ def camera_of(times, name="front"):
 
 def asked_scene(count=60, render=TRIANGLES):
     classes = [np.full(500, 50, np.uint16)] * count
-    return Scene(Asked(count), straight(count, 0.5), classes, Parameters(render=render))
+    return Scene(LazySweeps(count), straight(count, 0.5), classes, Parameters(render=render))
 
 
 @pytest.mark.parametrize("render", [PAPER, TRIANGLES])
@@ -151,9 +151,7 @@ def test_plain_arrays_are_a_scene():
             for p, c, u in zip(points, classes, usable, strict=True)
         ]
         expected = compose_depth(
-            *at(camera.camera, AXES, trajectory, 130_000_000),
-            frames.__getitem__,
-            values.render,
+            *drawing(frames, trajectory, 130_000_000, values.render, camera=camera.camera)
         )
         scene = Scene(points, trajectory, classes, values)
         np.testing.assert_array_equal(render_depth(scene, camera, -1), expected)

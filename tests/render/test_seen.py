@@ -8,9 +8,10 @@ from render_reference import (
     AXES,
     PAPER,
     TRIANGLES,
-    at,
+    drawing,
     followed,
     moving_track,
+    pixel_rays,
     render_sweep,
     straight,
 )
@@ -20,6 +21,7 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.track import Tracks
 from docdepth.render.depth_map import compose_depth
 from docdepth.render.layers import AGREED, CONTRADICTED, NOT_LOOKED_AT, compose_layers
+from lidar_rays import scan_rays
 
 GROUND, WALL = -1.7, 25.0
 LOW, HIGH = -22.0, 6.0  # field of view [deg]
@@ -41,36 +43,22 @@ def ranges_to(ray, x, post):
 
 def sweep(x, post=0.0):
     """Points of a sensor that sees all around, and the unit normal at each."""
-    e, a = np.meshgrid(np.radians(np.arange(LOW, HIGH, 0.5)), np.radians(
-        np.arange(-180, 180, 0.4)), indexing="ij")  # fmt: skip
-    ray = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1).reshape(-1, 3)
+    elevations, azimuths = np.arange(LOW, HIGH, 0.5), np.arange(-180, 180, 0.4)
+    ray = scan_rays(np.radians(elevations), np.radians(azimuths)).reshape(-1, 3)
     distance, which = ranges_to(ray, x, post)
     hit = distance < 60
     normal = np.where((which == 0)[:, None], (0.0, 0, 1), (1.0, 0, 0))
     return (ray[hit] * distance[hit, None]).astype(np.float32), normal[hit]
 
 
-def pixel_rays(camera):
-    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    K = camera.K
-    return np.stack([np.ones(u.shape), -(u - K[0, 2]) / K[0, 0], -(v - K[1, 2]) / K[1, 1]], -1)
-
-
 def seen_of(depth, frames, trajectory, T_camera_lidar=AXES, time=TIME, threads=0):
-    scene = (
-        *at(CAMERA, T_camera_lidar, trajectory, time),
-        frames.__getitem__,
-        TRIANGLES,
-    )
+    scene = drawing(frames, trajectory, time, camera=CAMERA, T_camera_lidar=T_camera_lidar)
     return compose_layers(("seen",), depth.astype(np.float32), *scene, threads=threads)["seen"]
 
 
 def street(post=0.0, n=4):
     sweeps = [sweep(float(i), post) for i in range(n)]
-    static = [np.full(len(points), 50, np.uint16) for points, _ in sweeps]
-    frames = [
-        render_sweep(points, c, TRIANGLES) for (points, _), c in zip(sweeps, static, strict=True)
-    ]
+    frames = [render_sweep(p, np.full(len(p), 50, np.uint16), TRIANGLES) for p, _ in sweeps]
     return sweeps, frames, straight(n)
 
 
@@ -217,11 +205,7 @@ def test_a_moving_box_is_compared_with_rays_that_move_with_it():
         return followed(points, classid, i, trajectory, track, TRIANGLES)
 
     frames = [frame(i) for i in range(4)]
-    scene = (
-        *at(CAMERA, AXES, trajectory, 150_000_000),
-        frames.__getitem__,
-        TRIANGLES,
-    )
+    scene = drawing(frames, trajectory, 150_000_000, camera=CAMERA)
     depth = compose_depth(*scene, tracks=Tracks([track]))
     found = compose_layers(("seen", "class"), depth, *scene, tracks=Tracks([track]))
     box = (found["class"] == 100) & (np.abs(depth - 13.0) < 0.1)
@@ -238,10 +222,4 @@ def test_splats_have_no_such_layer():
     frame = render_sweep(np.ones((3, 3), np.float32), np.full(3, 50, np.uint16), PAPER)
     depth = np.full((CAMERA.height, CAMERA.width), np.nan, np.float32)
     with pytest.raises(InputError, match="leave the layer seen out"):
-        compose_layers(
-            ("seen",),
-            depth,
-            *at(CAMERA, AXES, straight(1), 0),
-            lambda _: frame,
-            PAPER,
-        )
+        compose_layers(("seen",), depth, *drawing(frame, parameters=PAPER, camera=CAMERA))

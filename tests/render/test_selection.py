@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import AXES, PAPER, TRIANGLES, at, moving_track, render_sweep, small_camera
+from render_reference import PAPER, TRIANGLES, drawing, moving_track, render_sweep
 
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
@@ -106,7 +106,7 @@ def test_an_image_costs_the_same_however_long_the_drive_is(parameters):
     object.__setattr__(watched, "poses", trajectory.poses.view(Whole))
     time = int(trajectory.times[200])
     assert drawn_sweeps(watched, time, parameters) == drawn_sweeps(trajectory, time, parameters)
-    compose_depth(*at(small_camera(), AXES, watched, time), lambda _: empty, parameters)
+    compose_depth(*drawing(empty, watched, time, parameters))
 
 
 def random_tracks(rng, trajectory):

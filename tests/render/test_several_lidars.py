@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import AXES, at, frame_of, moving_track, render_sweep, small_camera, straight
+from render_reference import (
+    drawing,
+    frame_of,
+    moving_track,
+    pixel_rays,
+    render_sweep,
+    small_camera,
+    straight,
+)
 
-from docdepth.config import RenderParameters
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.track import Tracks
 from docdepth.render.depth_map import compose_depth
@@ -59,29 +66,19 @@ def drive():
     return trajectory, track, scene_of(trajectory, track, PLACES)
 
 
-def place_of_pixels(camera, depth):
-    v, u = np.mgrid[: camera.height, : camera.width]
-    K = camera.K
-    return -(u - K[0, 2]) / K[0, 0] * depth, -(v - K[1, 2]) / K[1, 1] * depth
-
-
 def test_what_moves_and_the_world_beside_it_are_drawn_whole(drive):
     """Past the object, each LiDAR sees the part of the wall that the other cannot see."""
     trajectory, track, frames = drive
     camera, time = small_camera(320, 160, 220.0), int(trajectory.times[4])
-    depth = compose_depth(
-        *at(camera, AXES, trajectory, time),
-        frames.__getitem__,
-        tracks=Tracks([track]),
-    )
+    depth = compose_depth(*drawing(frames, trajectory, time, camera=camera), tracks=Tracks([track]))
     x, y, _ = track.poses[4, :3, 3] - trajectory.poses[4, :3, 3]
     back, wall = x - 0.5, WALL - trajectory.poses[4, 0, 3]
-    left, up = place_of_pixels(camera, back)
+    _, left, up = np.moveaxis(back * pixel_rays(camera), -1, 0)
     off = np.maximum(np.abs(left - y) - WIDTH / 2, np.maximum(up - HIGH, LOW - up))
     inside = off < -0.05
     assert inside.sum() > 1000
     assert np.mean(np.abs(depth[inside] - back) < 0.05) > 0.99
-    left, up = place_of_pixels(camera, wall)
+    _, left, up = np.moveaxis(wall * pixel_rays(camera), -1, 0)
     beside = (off > 0.15) & (np.abs(np.arctan(left / wall)) < 0.7)
     beside &= (up / wall > np.tan(-0.33)) & (up / wall < np.tan(0.17))
     assert beside.sum() > 5000
@@ -93,11 +90,7 @@ def test_layers_name_the_sweep_of_each_lidar(drive):
     trajectory, track, _ = drive
     frames = scene_of(trajectory, track, PLACES, shown=(3, 5))
     camera, time = small_camera(), int(trajectory.times[4]) + 20_000_000
-    given = (
-        *at(camera, AXES, trajectory, time),
-        frames.__getitem__,
-        RenderParameters(),
-    )
+    given = drawing(frames, trajectory, time, camera=camera)
     depth = compose_depth(*given, tracks=Tracks([track]))
     layers = compose_layers(["time", "class"], depth, *given, tracks=Tracks([track]))
     moving = layers["class"] == 100

@@ -153,3 +153,14 @@ TEST_CASE("what was dropped is remembered as a neighbor unless most of the track
   CHECK(kept_neighbors(2.6f) > 0);
   CHECK(kept_neighbors(1.2f) == 0);
 }
+
+TEST_CASE("a small piece of what was seen is no continuation alone") {
+  const auto score = [](float length) {
+    TimedSurface side;
+    exact::add_side(pose_at(0, 0), {-1, -0.9f, 0.2f}, {length, 0, 0}, {0, 0, 1.4f}, {0, -1, 0},
+                    side);
+    return match({exact::detection(side, 1)}, velocity(0)).score;
+  };
+  CHECK(score(2.6f) > 0);
+  CHECK(score(0.2f) == 0);
+}

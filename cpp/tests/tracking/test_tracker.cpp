@@ -132,3 +132,43 @@ TEST_CASE("what is flat, or wider than any truck is long, is not tracked") {
   CHECK(moving(4.4f, 0.1f).empty());
   CHECK(moving(26.0f, 1.0f).empty());
 }
+
+TEST_CASE("what was seen once and hidden is the beginning of the track that comes from there") {
+  // Forward it is looked for in three sweeps only; backward the track knows where it was.
+  const auto found = tracks(13, [](int k, Detections& seen) {
+    if (k == 0 || k >= 6) add_car(seen, 1.0 * k);
+  });
+  REQUIRE(found.size() == 1);
+  const auto& observations = found[0].observations;
+  REQUIRE(sweeps_of(found[0]) == std::vector<std::size_t>{0, 6, 7, 8, 9, 10, 11, 12});
+  CHECK(found[0].transient_count == 8);
+  CHECK(observations[0].shift.isZero(0));
+  CHECK(observations[1].shift.x() == doctest::Approx(6).epsilon(0.03));
+  CHECK(observations[2].shift.x() == doctest::Approx(1).epsilon(0.1));  // within 0.2 m
+}
+
+TEST_CASE("a track does not begin with one that went elsewhere") {
+  // The second car comes from where the first one was last, but that one drove the other way.
+  const auto found = tracks(12, [](int k, Detections& seen) {
+    if (k < 2) add_car(seen, 1.0 * k);
+    if (k >= 5) add_car(seen, 2 - 1.0 * k);
+  });
+  REQUIRE(found.size() == 2);
+  CHECK(total_shift(found[0]) == doctest::Approx(1).epsilon(0.1));  // within 0.2 m
+  CHECK(total_shift(found[1]) == doctest::Approx(-6).epsilon(0.03));
+}
+
+TEST_CASE("of a car that is hidden in part all is kept that was seen of it") {
+  const auto found = tracks(8, [](int k, Detections& seen) {
+    const double middle = 0.5 * k;
+    const TimedSurface whole = exact::box(pose_at(middle, 0));
+    TimedSurface part;
+    for (std::size_t i = 0; i < whole.points.size(); ++i) {
+      const double x = whole.points[i].x() - middle;
+      if (k < 3 || (k < 5 ? x > 0.3 : x < -0.3)) part.add(whole.points[i], whole.normals[i], 0);
+    }
+    seen.push_back(exact::detection(part, 1, 10, k < 3 ? 100 : 30));
+  });
+  REQUIRE(found.size() == 1);
+  CHECK(found[0].observations.size() == 8);
+}
