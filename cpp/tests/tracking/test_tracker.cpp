@@ -167,7 +167,8 @@ TEST_CASE("of a car that is hidden in part all is kept that was seen of it") {
       const double x = whole.points[i].x() - middle;
       if (k < 3 || (k < 5 ? x > 0.3 : x < -0.3)) part.add(whole.points[i], whole.normals[i], 0);
     }
-    seen.push_back(exact::detection(part, 1, 10, k < 3 ? 100 : 30));
+    const std::uint32_t points = k < 3 ? 100 : k == 4 ? 10 : 30;
+    seen.push_back(exact::detection(part, 1, 10, points));
   });
   REQUIRE(found.size() == 1);
   CHECK(found[0].observations.size() == 8);
