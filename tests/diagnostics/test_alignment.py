@@ -13,6 +13,7 @@ import yaml
 
 from docdepth.datasets import CameraStream, Dataset, open_dataset
 from docdepth.diagnostics.alignment import find_misalignment
+from docdepth.diagnostics.sweeps import sample
 from docdepth.geometry.se3 import matrix_to_quaternion, quaternion_to_matrix, rotation_exp
 
 BETTER = "depth edges of the sweeps fit the images better when"
@@ -111,6 +112,15 @@ def test_a_turned_camera_is_seen(recording: Dataset, turn: dict[str, float], tex
     found = find_misalignment(recording, turned(recording.cameras["image_2"], **turn))
     assert found is not None
     assert found.startswith(f"{BETTER} the camera {text}")
+
+
+def test_sweeps_that_were_read_are_not_read_again(recording: Dataset, monkeypatch) -> None:
+    sweeps = {k: recording.sweep(k) for k in sample(len(recording))}
+    read: list[int] = []
+    monkeypatch.setattr(recording, "sweep", read.append)
+    found = find_misalignment(recording, turned(recording.cameras["image_2"], pan=1.5), sweeps)
+    assert found == f"{BETTER} the camera turns 1.5 degrees to the right"
+    assert read == []
 
 
 def test_a_lever_arm_of_half_a_metre_is_seen(recording: Dataset) -> None:

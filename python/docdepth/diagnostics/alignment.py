@@ -8,13 +8,13 @@ other times. Nothing is said where the evidence is thin.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.base import CameraStream, Dataset
+from docdepth.datasets.base import CameraStream, Dataset, Sweep
 from docdepth.diagnostics.alignment_views import View, edge_strength, scores_of, views_of
 from docdepth.geometry.se3 import matrix_to_quaternion, quaternion_to_matrix, rotation_exp
 
@@ -41,7 +41,9 @@ _CHANCE, _CHANCE_ERRORS = 1.08, 2.0  # below it, also in standard errors, there 
 _AT_ONCE = 10_000_000  # nanoseconds in which no vehicle moves far
 
 
-def find_misalignment(recording: Dataset, stream: CameraStream) -> str | None:
+def find_misalignment(
+    recording: Dataset, stream: CameraStream, sweeps: Mapping[int, Sweep] | None = None
+) -> str | None:
     """What would fit the images better than the given calibration and times.
 
     Parameters
@@ -49,6 +51,8 @@ def find_misalignment(recording: Dataset, stream: CameraStream) -> str | None:
     recording : Dataset
     stream : CameraStream
         With images.
+    sweeps : mapping of int to Sweep, optional
+        Those that were read already, by index.
 
     Returns
     -------
@@ -61,11 +65,12 @@ def find_misalignment(recording: Dataset, stream: CameraStream) -> str | None:
     DatasetError
         A sweep or an image is damaged.
     """
-    views = views_of(recording, stream)
+    sweeps = sweeps or {}
+    views = views_of(recording, stream, sweeps)
     if len(views) < _FEWEST_PAIRS:
         return None
     pairs = _Pairs(views, stream)
-    if not pairs.fit(_NO_FIT) and _fits_in_another_order(recording, stream):
+    if not pairs.fit(_NO_FIT) and _fits_in_another_order(recording, stream, sweeps):
         return (
             "depth edges of the sweeps fit the images if the quaternion of the extrinsics is read "
             "in the other order, x y z w or w x y z"
@@ -94,14 +99,16 @@ def find_misalignment(recording: Dataset, stream: CameraStream) -> str | None:
     return "depth edges of the sweeps fit the images by chance only" if pairs.no_fit() else None
 
 
-def _fits_in_another_order(recording: Dataset, stream: CameraStream) -> bool:
+def _fits_in_another_order(
+    recording: Dataset, stream: CameraStream, sweeps: Mapping[int, Sweep]
+) -> bool:
     """Whether the quaternion of a camera that does not fit has its w at the wrong end."""
     quaternion = matrix_to_quaternion(stream.T_camera_lidar[:3, :3])
     for by in (-1, 1):
         T = stream.T_camera_lidar.copy()
         T[:3, :3] = quaternion_to_matrix(np.roll(quaternion, by))
         other = replace(stream, T_camera_lidar=T)
-        views = views_of(recording, other)
+        views = views_of(recording, other, sweeps)
         if len(views) >= _FEWEST_PAIRS and _Pairs(views, other).fit(_SHARP):
             return True
     return False

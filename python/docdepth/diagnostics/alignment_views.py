@@ -5,14 +5,14 @@ A depth edge lies where a sweep jumps from one surface to another farther away.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.base import CameraStream, Dataset
+from docdepth.datasets.base import CameraStream, Dataset, Sweep
 from docdepth.diagnostics.sweeps import sample
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.scan_mesh import ScanMesh
@@ -63,18 +63,24 @@ class View:
     travel: NDArray[np.float64]
 
 
-def views_of(recording: Dataset, stream: CameraStream) -> list[View]:
-    """Pairs of sweep and image, spread over the drive."""
+def views_of(recording: Dataset, stream: CameraStream, sweeps: Mapping[int, Sweep]) -> list[View]:
+    """Pairs of sweep and image, spread over the drive; ``sweeps`` are read already."""
     times = recording.times
     inside = np.flatnonzero((stream.times >= times[0]) & (stream.times <= times[-1]))
     chosen = inside[sample(len(inside), PAIRS)]
+    nearest = np.searchsorted(times[:-1] + np.diff(times) // 2, stream.times[inside])
+    at_image, first = np.unique(nearest, return_index=True)
+    known = inside[first[np.isin(at_image, list(sweeps))]]
+    if len(known) >= len(chosen):  # no sweep needs to be read again
+        chosen = known[sample(len(known), PAIRS)]
     trajectory = None
     if recording.poses is not None and len(times) > 1:
         trajectory = Trajectory(times, recording.poses)
     views = []
     for image in chosen.tolist():
         index = int(np.abs(times - stream.times[image]).argmin())
-        ends, late, weight = _depth_edges(recording, index, stream)
+        sweep = sweeps[index] if index in sweeps else recording.sweep(index)
+        ends, late, weight = _depth_edges(sweep, stream)
         travel = np.zeros(3)
         if trajectory is not None:
             if late is not None:
@@ -89,14 +95,13 @@ def views_of(recording: Dataset, stream: CameraStream) -> list[View]:
 
 
 def _depth_edges(
-    recording: Dataset, index: int, stream: CameraStream
+    sweep: Sweep, stream: CameraStream
 ) -> tuple[NDArray[np.float64], NDArray[np.float32] | None, NDArray[np.float64]]:
     """Depth edges of a sweep around the image, as :class:`View` has them, at the time of each.
 
     The second array has the times of the near returns, as a share of the sweep; None where the
     sweep has none or is motion compensated.
     """
-    sweep = recording.sweep(index)
     kept = usable_points(sweep.points)
     kept[kept] = _around_image(sweep.points[kept], stream)
     points = np.ascontiguousarray(sweep.points[kept])

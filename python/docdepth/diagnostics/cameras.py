@@ -45,7 +45,7 @@ def check_camera(
     broken = any(one.severity == "error" for one in found)
     if stream.images and not geometry and not broken:  # edges would tell the same in other words
         with collected(found):
-            misfit = find_misalignment(recording, stream)
+            misfit = find_misalignment(recording, stream, sweeps)
             if misfit:
                 remedy = f"check {where}, the intrinsics, and the times of the images"
                 found.append(Finding("misaligned", stream.name, misfit, remedy))
