@@ -26,7 +26,7 @@ def _street() -> np.ndarray:
     return np.asarray(points[usable_points(points)])
 
 
-TILTS = [(0, 0, 0), (10, 0, 0), (0, -20, 0), (0, 45, 30), (90, 0, 0), (0, 90, 0)]
+TILTS = [(0, -20, 0), (0, 45, 30), (90, 0, 0)]
 
 
 @pytest.mark.parametrize("tilt", TILTS)
