@@ -317,6 +317,7 @@ def _make(folder: RunFolder, recording: Dataset, execution: Execution) -> None:
                 run_classify(folder, threads, progress, workers, stages[1])
                 streams, renders = [c.stream for c in cameras], {s.name: s for s in stages[2:]}
                 run_render(folder, streams, threads, progress, renderer, workers, renders)
+                _save_done(folder, stages)
                 _delete_frames(folder)
                 return
             except (DatasetError, OdometryError):
