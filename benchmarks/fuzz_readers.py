@@ -287,7 +287,7 @@ def _read_records(path: Path) -> None:
 
     content, root = path.read_bytes(), path.parent
     notes = root / ".docdepth"
-    for name in ("records/frames.jsonl", "records/run.jsonl", "made_of.json", "inputs.json"):
+    for name in ("records/frames.jsonl", "records/run.jsonl", "stage_inputs.json", "inputs.json"):
         (notes / name).parent.mkdir(parents=True, exist_ok=True)
         (notes / name).write_bytes(content)
     (root / "run.yaml").write_bytes((sample_run() / "run.yaml").read_bytes())
@@ -363,7 +363,7 @@ READERS = {
         Reader(
             "records", "content", _read_records,
             _of_run(*(f".docdepth/{name}" for name in (
-                "records/frames.jsonl", "records/run.jsonl", "made_of.json", "inputs.json"
+                "records/frames.jsonl", "records/run.jsonl", "stage_inputs.json", "inputs.json"
             ))),
         ),
         Reader(

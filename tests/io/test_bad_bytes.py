@@ -337,7 +337,7 @@ def test_notes_that_name_themselves_end(tmp_path: Path) -> None:
     run = new_run(tmp_path)
     for name in ("odometry", "classify"):
         run.set_stage(name, key="1", all_frames=1)
-        run.set_made_of(name, {"odometry": "1", "classify": "2"})
+        run.set_stage_inputs(name, {"odometry": "1", "classify": "2"})
     run.write_frame(0, FRAME, {"odometry": "2"})
     found = {state.name: state.state for state in states(RunFolder.open(run.path))}
     assert found == {"odometry": "out of date", "classify": "out of date"}

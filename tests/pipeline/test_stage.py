@@ -67,7 +67,7 @@ class Toy:
             ],
             [self.root / "camera"],
             [self.root / "depth", self.root / "report"],
-            first,
+            previous=first,
         )
         return [first, second]
 

@@ -267,7 +267,9 @@ def check_lens(
     worst, usual = int(np.argmax(pixels)), float(np.median(pixels))
     if pixels[worst] <= max(_MISFIT, _TIMES_MEDIAN * usual):
         return []
-    missed = f"the corners of {names[worst]} miss by {pixels[worst]:.1f} px, usual are {usual:.1f}"
+    missed = (
+        f"the corners of {names[worst]} miss by {pixels[worst]:.1f} px, usual are {usual:.1f} px"
+    )
     if estimated:
         other = next(model for model in MODELS if model != lens.model)
         text = f"{missed}: a {lens.model} lens does not take them so"

@@ -296,23 +296,23 @@ class RunFolder(RecordedFolder):
         self.manifest.stages[name] = StageEntry(**self.stage(name).model_dump() | state)
         self.save()
 
-    def made_of(self, stage: str) -> dict[str, Any]:
+    def stage_inputs(self, stage: str) -> dict[str, Any]:
         """What the results of a stage were made of; empty before it starts."""
-        found = self._made_of().get(stage, {})
+        found = self._all_stage_inputs().get(stage, {})
         return dict(found) if isinstance(found, dict) else {}
 
-    def set_made_of(self, stage: str, parts: dict[str, Any]) -> None:
+    def set_stage_inputs(self, stage: str, inputs: dict[str, Any]) -> None:
         """Note what the results of a stage are made of, to say later what has changed."""
-        text = json.dumps({**self._made_of(), stage: parts}, indent=1).encode()
-        self.write(self._made_of_path, lambda stream: stream.write(text), {})
+        text = json.dumps({**self._all_stage_inputs(), stage: inputs}, indent=1).encode()
+        self.write(self._stage_inputs_path, lambda stream: stream.write(text), {})
 
     @property
-    def _made_of_path(self) -> Path:
-        return self.notes / "made_of.json"
+    def _stage_inputs_path(self) -> Path:
+        return self.notes / "stage_inputs.json"
 
-    def _made_of(self) -> dict[str, Any]:
+    def _all_stage_inputs(self) -> dict[str, Any]:
         try:
-            found = parse_json(self._made_of_path.read_text())
+            found = parse_json(self._stage_inputs_path.read_text())
         except (OSError, ValueError):
             return {}
         return found if isinstance(found, dict) else {}

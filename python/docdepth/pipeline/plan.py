@@ -39,15 +39,15 @@ def odometry_stage(
         "version": _VERSIONS["odometry"],
         "odometry": run.parameters.odometry.model_dump(mode="json"),
     }
-    inputs = InputFiles(run)
-    made_of: StageInputs
+    input_files = InputFiles(run)
+    inputs: StageInputs
     if recording is None:
-        made_of, count = {**run.made_of("odometry"), **own}, run.stage("odometry").all_frames
+        inputs, count = {**run.stage_inputs("odometry"), **own}, run.stage("odometry").all_frames
     else:
         first, up, count = first or recording.sweep(0), run.manifest.derived.up, len(recording)
         rig = first.sensor_rig
-        made_of = own | {
-            "sweeps": inputs.sweeps(recording),
+        inputs = own | {
+            "sweeps": input_files.sweeps(recording),
             "times": stage_key(recording.times.tolist()),
             "poses": None if poses is None else stage_key(np.asarray(poses).tolist()),
             "rays": stage_key(
@@ -60,18 +60,18 @@ def odometry_stage(
     has_sensors = first is not None and first.sensor_rig is not None
     if recording is None:
         has_sensors = run.sensors_path.name in run.records(run.path)
-    changed = inputs.changed("sweeps")
+    changed = input_files.changed("sweeps")
     sweeps = f"sweeps have changed, {changed[0]} first" if changed else "sweeps have changed"
     others = {name: f"the {name} of the input have changed" for name in ("times", "poses", "rays")}
     return Stage(
         run,
         "odometry",
-        made_of,
-        _frames(run, "odometry", made_of, [[run.frame_path(i)] for i in range(count)]),
+        inputs,
+        _frames(run, "odometry", inputs, [[run.frame_path(i)] for i in range(count)]),
         [run.trajectory_path, *([run.sensors_path] if has_sensors else [])],
         [run.frame_path(0).parent],
         reasons={"sweeps": sweeps, **others},
-        save_inputs=inputs.save,
+        save_inputs=input_files.save,
     )
 
 
@@ -81,21 +81,21 @@ def classify_stage(run: RunFolder, odometry: Stage | None = None) -> Stage:
     Without the stage before it, frames count as up to date.
     """
     labels = None if run.manifest.inputs is None else run.manifest.inputs.labels
-    inputs = InputFiles(run)
+    input_files = InputFiles(run)
     known = run.stage("odometry")
-    made_of: dict[str, object] = {
+    inputs: dict[str, object] = {
         "version": _VERSIONS["classify"],
         "odometry": known.key if odometry is None else odometry.key,
     }
     if labels is None:
-        made_of["ground"] = run.parameters.ground.model_dump(mode="json")
-        made_of["dynamics"] = run.parameters.dynamics.model_dump(mode="json")
+        inputs["ground"] = run.parameters.ground.model_dump(mode="json")
+        inputs["dynamics"] = run.parameters.dynamics.model_dump(mode="json")
         has_tracks = run.parameters.dynamics.evidence == "tracks"
     else:
-        made_of["labels"] = run.made_of("classify").get("labels")
+        inputs["labels"] = run.stage_inputs("classify").get("labels")
         if labels.is_dir():  # else on a disk that is away
             given = LabelFolder(labels)
-            made_of["labels"] = inputs.labels(given.files(), given.folder)
+            inputs["labels"] = input_files.labels(given.files(), given.folder)
         has_tracks = TRACKS in run.records(run.path)
     label_files = _label_files(run)
     count = len(run.trajectory()) if odometry is None else len(odometry.frames)
@@ -105,18 +105,18 @@ def classify_stage(run: RunFolder, odometry: Stage | None = None) -> Stage:
             [*outputs.files, label_files.get(i, run.path / "labels" / f"of frame {i}")],
             {"frame": str(i)},
         )
-        for i, outputs in enumerate(_frames(run, "classify", made_of, files))
+        for i, outputs in enumerate(_frames(run, "classify", inputs, files))
     ]
     return Stage(
         run,
         "classify",
-        made_of,
+        inputs,
         frames,
         [run.path / TRACKS] if has_tracks else [],
         [run.path / "classes", run.path / "labels", run.path],
-        odometry,
-        {"labels": "other labels are given"},
-        inputs.save,
+        previous=odometry,
+        reasons={"labels": "other labels are given"},
+        save_inputs=input_files.save,
     )
 
 
@@ -135,15 +135,15 @@ def render_stage(
     key = run.stage("classify").key if classify is None else classify.key
     own = {"version": _VERSIONS["render"], "classify": key}
     if isinstance(camera, str):
-        name, made_of = f"render {camera}", {**run.made_of(f"render {camera}"), **own}
+        name, inputs = f"render {camera}", {**run.stage_inputs(f"render {camera}"), **own}
         folder = run.path / "depth" / run.cameras[camera].folder
         records = run.records(folder)
         maps = [file for file in records.names() if "image" in records.recorded_key(file)]
         return Stage(
-            run, name, made_of, [FrameOutputs([folder / m]) for m in maps], before=classify
+            run, name, inputs, [FrameOutputs([folder / m]) for m in maps], previous=classify
         )
-    stream, p, inputs = camera.stream, camera.parameters, InputFiles(run)
-    made_of = {
+    stream, p, input_files = camera.stream, camera.parameters, InputFiles(run)
+    inputs = {
         **own,
         "render": p.render.model_dump(mode="json"),
         "output": p.output.model_dump(mode="json"),
@@ -155,14 +155,14 @@ def render_stage(
         },
     }
     files = DepthFiles(run, stream, camera.folder, p)
-    identities = inputs.images(stream)
+    identities = input_files.images(stream)
     inside = np.ones(len(stream.times), bool)
     if times is not None:
         inside = (stream.times >= times[0]) & (stream.times <= times[-1])
     return Stage(
         run,
         f"render {stream.name}",
-        made_of,
+        inputs,
         [
             FrameOutputs(
                 files.files(k),
@@ -173,9 +173,9 @@ def render_stage(
         ],
         files.once(),
         files.folders(),
-        classify,
-        {"times": "the times of the images have changed"},
-        inputs.save,
+        previous=classify,
+        reasons={"times": "the times of the images have changed"},
+        save_inputs=input_files.save,
     )
 
 

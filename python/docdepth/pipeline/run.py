@@ -277,7 +277,7 @@ def _follow_recording(folder: RunFolder, recording: Dataset) -> None:
     """If a run's recording lies elsewhere now, and is the same, note where."""
     inputs, place = folder.manifest.inputs, recording.path.resolve()
     if inputs is not None and inputs.recording != place:
-        sweeps = folder.made_of("odometry").get("sweeps")
+        sweeps = folder.stage_inputs("odometry").get("sweeps")
         if sweeps == InputFiles(folder).sweeps(recording):
             folder.manifest.inputs = inputs.but(recording=place)
 

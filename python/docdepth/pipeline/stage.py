@@ -98,8 +98,8 @@ class Stage:
         Files of the stage as a whole.
     folders : sequence of Path
         Where files of this stage that are out of date may lie.
-    before : Stage, optional
-        The stage before it.
+    previous : Stage, optional
+        The stage that it reads from.
     reasons : dict of str to str
         By input: the reason to give if it has changed; its values are told where there is none.
     save_inputs : callable
@@ -112,7 +112,7 @@ class Stage:
     frames: Sequence[FrameOutputs]
     once: Sequence[Path] = ()
     folders: Sequence[Path] = ()
-    before: Stage | None = None
+    previous: Stage | None = None
     reasons: Mapping[str, str] = field(default_factory=dict)
     save_inputs: Callable[[], None] = lambda: None
 
@@ -193,17 +193,20 @@ class Stage:
 
     def _why_outdated(self) -> str:
         """Which input has changed."""
-        before = self.run.made_of(self.name)
+        before = self.run.stage_inputs(self.name)
         if not before:
             return "what it was made of is not known"
         for name, reason in self.reasons.items():
             if before.get(name) != self.inputs.get(name):
                 return reason
         name, was, value = _first_difference(before, self.inputs)
-        if self.before is not None and name == self.before.name:
-            if self.run.made_of(name) in (self.before.inputs, before):  # someone has changed notes
+        if self.previous is not None and name == self.previous.name:
+            if self.run.stage_inputs(name) in (
+                self.previous.inputs,
+                before,
+            ):  # someone has changed notes
                 return f"{name} was made again"
-            return f"{name} is out of date: {self.before._why_outdated()}"
+            return f"{name} is out of date: {self.previous._why_outdated()}"
         if name == "version":
             return "an earlier version of docdepth made it"
         return f"{name} was {was}, is {value}"
@@ -221,7 +224,7 @@ class Stage:
         begun = {"state": "running", "key": self.key, "all_frames": len(self.frames)}
         run.manifest.stages[self.name] = before.model_copy(update=begun)
         run.save()
-        run.set_made_of(self.name, dict(self.inputs))
+        run.set_stage_inputs(self.name, dict(self.inputs))
         self.save_inputs()
         profile = Profile()
         with recorded_warnings() as warnings:
