@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin
 import yaml
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
 
 from docdepth._yaml_text import UniqueLoader
 from docdepth.errors import ConfigError
@@ -59,7 +60,7 @@ def explain(error: ValidationError, stages: Mapping[str, type[BaseModel]]) -> st
     """All that is wrong with a tree of parameters, in plain sentences."""
     sentences: dict[tuple[int | str, ...], str] = {}
     for problem in error.errors():  # of the items of one tuple, the first says it for all
-        sentences.setdefault(problem["loc"][:2], _sentence(dict(problem), stages))
+        sentences.setdefault(problem["loc"][:2], _sentence(problem, stages))
     return "; ".join(sentences.values())
 
 
@@ -96,7 +97,7 @@ def read_yaml(text: str) -> Any:
         raise yaml.YAMLError("it is too deep") from None
 
 
-def parse_settings(assignments: list[str], option: str = "--set") -> dict[str, Any]:
+def parse_settings(assignments: list[str], option: str = "--set") -> dict[str, object]:
     """``["dynamics.tolerance=0.3"]`` as a dict; values are read as YAML.
 
     Raises
@@ -104,7 +105,7 @@ def parse_settings(assignments: list[str], option: str = "--set") -> dict[str, A
     ConfigError
         An assignment has no equals sign, or its value is no YAML. The message names the option.
     """
-    settings: dict[str, Any] = {}
+    settings: dict[str, object] = {}
     for assignment in assignments:
         name, equals, value = assignment.partition("=")
         if not equals:
@@ -139,7 +140,7 @@ def check_key_frames(kind: str, spacing: float, radius: float) -> None:
         )
 
 
-def _sentence(problem: dict[str, Any], stages: Mapping[str, type[BaseModel]]) -> str:
+def _sentence(problem: ErrorDetails, stages: Mapping[str, type[BaseModel]]) -> str:
     place = [str(part) for part in problem["loc"]]
     name, value = ".".join(place[:2]), _shown(problem["input"])
     own = problem.get("ctx", {}).get("error") if problem["type"] == "value_error" else None

@@ -7,6 +7,7 @@ the module that uses it, of C++ the default of its parameter structure.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -20,6 +21,9 @@ Layer = Literal[
     "class", "instance", "time", "range", "support", "std", "normal", "confidence", "seen"
 ]
 DepthFormat = Literal["png", "exr-half", "exr", "tiff", "npz", "npy"]
+
+Settings = Mapping[str, object]
+"""Parameters by dotted name, as YAML and the command line hold them; checked when they are used."""
 
 Preset = Literal["default", "paper"]
 
@@ -303,7 +307,7 @@ STAGES: dict[str, type[BaseModel]] = {
 
 
 # What `paper` sets apart from `default`, stage by stage.
-_PAPER: dict[str, dict[str, Any]] = {
+_PAPER: dict[str, dict[str, object]] = {
     "ground": {"chunk_length": 500, "seed_quantile": 0, "step_height": 0},
     "dynamics": {
         "vote_model": "range_image",
@@ -316,7 +320,7 @@ _PAPER: dict[str, dict[str, Any]] = {
 }
 
 
-def parameters(preset: Preset = "default", settings: dict[str, Any] | None = None) -> Parameters:
+def parameters(preset: Preset = "default", settings: Settings | None = None) -> Parameters:
     """Parameters of a preset with single values replaced.
 
     Parameters
@@ -337,14 +341,14 @@ def parameters(preset: Preset = "default", settings: dict[str, Any] | None = Non
     """
     if preset not in ("default", "paper"):
         raise ConfigError(f"unknown preset {preset!r}; there are 'default' and 'paper'")
-    tree: dict[str, Any] = {"preset": preset}
+    tree: dict[str, dict[str, object]] = {}
     if settings is not None and not isinstance(settings, dict):
         raise ConfigError(
             f"settings must be a dict by dotted name, not {type(settings).__name__}: "
             '{"dynamics.tolerance": 0.3}'
         )
     if preset == "paper":
-        tree |= {stage: dict(values) for stage, values in _PAPER.items()}
+        tree = {stage: dict(values) for stage, values in _PAPER.items()}
     for name, value in (settings or {}).items():
         stage, _, key = name.partition(".")
         if not key or stage not in STAGES:
@@ -352,7 +356,7 @@ def parameters(preset: Preset = "default", settings: dict[str, Any] | None = Non
                 f"unknown parameter {name!r}; write stage.name with a stage of {', '.join(STAGES)}"
             )
         tree.setdefault(stage, {})[key] = value
-    return stored_parameters(tree)
+    return stored_parameters({"preset": preset, **tree})
 
 
 def given(values: Parameters | None) -> Parameters:
@@ -371,7 +375,7 @@ def given(values: Parameters | None) -> Parameters:
     return values or Parameters()
 
 
-def replaced(values: Parameters, settings: dict[str, Any]) -> Parameters:
+def replaced(values: Parameters, settings: Settings) -> Parameters:
     """Parameters with single values replaced.
 
     Parameters
@@ -396,7 +400,7 @@ def replaced(values: Parameters, settings: dict[str, Any]) -> Parameters:
     return parameters(values.preset, {**known, **settings})
 
 
-def departures(values: Parameters) -> dict[str, Any]:
+def departures(values: Parameters) -> dict[str, object]:
     """The values that differ from those of their preset, by dotted name."""
     preset = parameters(values.preset).model_dump()
     return {

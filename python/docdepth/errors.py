@@ -43,7 +43,9 @@ class DocDepthError(Exception):
         return _copy, (type(self), self.args, vars(self))
 
 
-def _copy(kind: type[DocDepthError], args: tuple[Any, ...], rest: dict[str, Any]) -> DocDepthError:
+def _copy(
+    kind: type[DocDepthError], args: tuple[Any, ...], rest: dict[str, object]
+) -> DocDepthError:
     error = kind.__new__(kind, *args)
     vars(error).update(rest)
     return error

@@ -57,7 +57,7 @@ class CameraEntry(Checked):
     """
 
     folder: Annotated[str, AfterValidator(_inside_depth)]
-    settings: dict[str, Any] = Field(default_factory=dict)
+    settings: dict[str, object] = Field(default_factory=dict)
     virtual: VirtualCamera | None = None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+from collections.abc import Mapping
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -296,12 +297,12 @@ class RunFolder(RecordedFolder):
         self.manifest.stages[name] = StageEntry(**self.stage(name).model_dump() | state)
         self.save()
 
-    def stage_inputs(self, stage: str) -> dict[str, Any]:
+    def stage_inputs(self, stage: str) -> dict[str, object]:
         """What the results of a stage were made of; empty before it starts."""
         found = self._all_stage_inputs().get(stage, {})
         return dict(found) if isinstance(found, dict) else {}
 
-    def set_stage_inputs(self, stage: str, inputs: dict[str, Any]) -> None:
+    def set_stage_inputs(self, stage: str, inputs: Mapping[str, object]) -> None:
         """Note what the results of a stage are made of, to say later what has changed."""
         text = json.dumps({**self._all_stage_inputs(), stage: inputs}, indent=1).encode()
         self.write(self._stage_inputs_path, lambda stream: stream.write(text), {})
@@ -310,7 +311,7 @@ class RunFolder(RecordedFolder):
     def _stage_inputs_path(self) -> Path:
         return self.notes / "stage_inputs.json"
 
-    def _all_stage_inputs(self) -> dict[str, Any]:
+    def _all_stage_inputs(self) -> dict[str, object]:
         try:
             found = parse_json(self._stage_inputs_path.read_text())
         except (OSError, ValueError):

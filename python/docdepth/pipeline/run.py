@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from docdepth.concurrency import Progress
-from docdepth.config import Parameters, replaced
+from docdepth.config import Parameters, Settings, replaced
 from docdepth.datasets.base import Dataset
 from docdepth.errors import (
     DamagedFileError,
@@ -169,7 +169,7 @@ def continue_run(
 
 def render_again(
     output: Path | str,
-    changes: dict[str, Any] | None = None,
+    changes: Settings | None = None,
     camera: str | Sequence[str] | None = None,
     virtual: tuple[str, VirtualCamera] | None = None,
     *,
@@ -215,7 +215,7 @@ def render_again(
     if named:
         for name in named:
             entry = folder.cameras[name]
-            settings = entry.settings | changes
+            settings = {**entry.settings, **changes}
             folder.cameras[name] = entry.model_copy(update={"settings": settings})
     else:
         folder.manifest.parameters = replaced(folder.parameters, changes)

@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 
 State = Literal["done", "out of date", "incomplete", "damaged", "missing"]
 
-StageInputs = Mapping[str, Any]
+StageInputs = Mapping[str, object]
 """What the results of a stage are made of, as plain values."""
 
 
@@ -58,7 +58,7 @@ class StageState:
     size: int = 0
     seconds: float = 0.0
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """All values by name, ready for JSON."""
         return dict(vars(self))
 
@@ -266,7 +266,7 @@ class Profile:
         log_findings(log, known)
         self.findings += known
 
-    def entries(self, before: StageEntry, notices: list[str]) -> dict[str, Any]:
+    def entries(self, before: StageEntry, notices: list[str]) -> dict[str, object]:
         """Entries of the stage in run.yaml, those of earlier commands added."""
         found = map(str, self.findings)
         wall = self.share * self.timer.wall()
