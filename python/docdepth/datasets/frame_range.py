@@ -84,7 +84,12 @@ class FrameRange(DatasetRepr):
 
     def sweep(self, index: int) -> Sweep:
         """Sweep ``index`` of the range."""
-        return self.whole.sweep(self.indices[index])
+        return self._first if index == 0 else self.whole.sweep(self.indices[index])
+
+    @cached_property
+    def _first(self) -> Sweep:
+        """Kept, since each stage asks it whether sweeps have times and where rays begin."""
+        return self.whole.sweep(self.indices[0])
 
     def sweep_files(self, index: int) -> list[Path]:
         """The files of sweep ``index`` of the range."""

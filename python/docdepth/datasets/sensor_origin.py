@@ -66,12 +66,12 @@ def estimate_sensor_origin(recording: Dataset) -> SensorOrigin | None:
         None if returns have neighbours as seen from the origin, or if the recording tells where its
         rays begin.
     """
+    if recording.sweep(0).sensor_rig is not None:
+        return None
     clouds = []
     for k in sorted({int(k) for k in np.linspace(0, len(recording) - 1, _SAMPLES + 2)[1:-1]}):
-        sweep = recording.sweep(k)
-        if sweep.sensor_rig is not None:
-            return None
-        points = np.ascontiguousarray(sweep.points[usable_points(sweep.points)])
+        measured = recording.sweep(k).points
+        points = np.ascontiguousarray(measured[usable_points(measured)])
         clouds += [points] if len(points) > _FEWEST else []
     if not clouds:
         return None
