@@ -17,16 +17,15 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import read_tracks
 from docdepth.visualization.drive_scene import instance_colors
 from docdepth.visualization.pictures import colorize
-from docdepth.visualization.rerun_recording import _layout, _Log, write_rerun
+from docdepth.visualization.rerun_recording import _layout, write_rerun
 
 
 def test_no_pane_stays_empty_where_a_recording_has_no_images(rerun, finished, drive) -> None:
     run = RunFolder.open(finished[0])
     stream = open_dataset(drive).cameras["image_2"]
-    log = _Log(rerun, None, run.trajectory(), np.zeros(3))
     panes = []
     for shown in (stream, None, replace(stream, images=[])):
-        root = _layout(log, run, shown).root_container.contents[1]
+        root = _layout(rerun, run, shown).root_container.contents[1]
         panes.append([view.name for view in root.contents])
     assert panes == [["image", "depth"], ["depth"], ["depth"]]
 

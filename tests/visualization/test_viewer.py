@@ -24,7 +24,7 @@ from docdepth.visualization.drive_scene import (
     instance_colors,
     vote_colors,
 )
-from docdepth.visualization.geometries import run_geometries, scene_geometries
+from docdepth.visualization.viewer import RunView, exchange, scene_geometries
 from small_drive import HEIGHT, WIDTH
 
 CAMERA = Camera(np.array([(100.0, 0, 20), (0, 110, 15), (0, 0, 1)]), 40, 30)
@@ -72,8 +72,8 @@ def test_tracks_have_a_colour_each_and_the_rest_is_dark() -> None:
 
 
 def test_geometries_are_in_the_world_frame(open3d) -> None:
-    points = np.array([(1, 2, 3), (np.nan, 0, 0), (4, 5, 6)], np.float32)
-    classid = np.array([0, 50, 100], np.uint16)
+    points = np.array([(1, 2, 3), (4, 5, 6)], np.float32)
+    colors = class_colors(np.array([0, 100], np.uint16))
     poses = np.repeat(np.eye(4)[None], 3, axis=0)
     poses[:, 0, 3] = 0, 2, 4
     depth = np.full((30, 40), np.nan, np.float32)
@@ -81,28 +81,25 @@ def test_geometries_are_in_the_world_frame(open3d) -> None:
     T_world_camera = np.eye(4)
     T_world_camera[:3, 3] = 1, 1, 1
     views = [CameraView(CAMERA, T_world_camera, depth), CameraView(CAMERA, np.eye(4))]
-    found = scene_geometries(points, classid, poses, views)
+    found = scene_geometries(points, colors, poses, views)
     assert list(found) == ["points", "trajectory", "camera 0", "depth 0", "camera 1"]
-    np.testing.assert_allclose(np.asarray(found["points"].points), points[[0, 2]])
-    np.testing.assert_allclose(np.asarray(found["points"].colors), class_colors(classid[[0, 2]]))
+    np.testing.assert_allclose(np.asarray(found["points"].points), points)
+    np.testing.assert_allclose(np.asarray(found["points"].colors), colors)
     np.testing.assert_allclose(np.asarray(found["trajectory"].points)[:, 0], (0, 2, 4))
     assert np.asarray(found["trajectory"].lines).tolist() == [[0, 1], [1, 2]]
     np.testing.assert_allclose(np.asarray(found["depth 0"].points), [(1, 1, 11)])
     image = np.full((30, 40, 3), (10, 20, 30), np.uint8)
-    coloured = scene_geometries(
-        points, classid, views=[CameraView(CAMERA, T_world_camera, depth, image)]
-    )
+    seen = CameraView(CAMERA, T_world_camera, depth, image)
+    coloured = scene_geometries(points, colors, views=[seen])
     rgb = np.asarray(coloured["depth 0"].colors)
     np.testing.assert_allclose(rgb, [(30 / 255, 20 / 255, 10 / 255)])
     centre = np.asarray(found["camera 0"].points)[0]
     np.testing.assert_allclose(centre, (1, 1, 1), atol=1e-12)
-    with pytest.raises(InputError, match="classes"):
-        scene_geometries(points, classid[:2])
 
 
 def test_geometries_of_a_run(open3d, finished: tuple[Path, str]) -> None:
     run = RunFolder.open(finished[0])
-    found = run_geometries(run, frame=2)
+    found, _ = RunView(run, frame=2).go(0)
     assert len(found["points"].points) == len(run.points(2))
     assert len(found["trajectory"].points) == 5
     assert [name for name in found if name.startswith("camera")] == ["camera 0"]
@@ -112,17 +109,17 @@ def test_geometries_of_a_run(open3d, finished: tuple[Path, str]) -> None:
     # The depth map lies on the sweep's points, not somewhere else in the world.
     away = depths[0].voxel_down_sample(1.0).compute_point_cloud_distance(found["points"])
     assert np.median(np.asarray(away)) < 1.0
-    more = run_geometries(run, frame=2, around=1, depth=False)
+    more, _ = RunView(run, frame=2, around=1, depth=False).go(0)
     assert list(more) == ["points", "tracks", "trajectory"]
     assert len(more["points"].points) > 2 * len(found["points"].points)
     with pytest.raises(InputError, match="sweeps 0 to 4, not 5"):
-        run_geometries(run, frame=5)
+        RunView(run, frame=5)
 
 
 def test_boxes_are_those_of_the_tracks_and_the_image_stands_in_the_frustum(open3d, finished, drive):
     run = RunFolder.open(finished[0])
     stream = open_dataset(drive).cameras["image_2"]
-    found = run_geometries(run, frame=2, color="instance", stream=stream)
+    found, _ = RunView(run, frame=2, color="instance", stream=stream).go(0)
     time = int(run.trajectory().times[2])
     tracks = [t for t in read_tracks(run.path / "tracks.csv") if t.covers(time)]
     lines = found["tracks"]
@@ -159,8 +156,9 @@ def test_keys_step_through_the_drive_and_change_the_colours(
 
     monkeypatch.setattr(viewer, "show", show)
     told: list[str] = []
-    viewer.view_run(finished[0], frame=1, depth=False, tell=told.append)
-    poses = RunFolder.open(finished[0]).trajectory().poses
+    run = RunFolder.open(finished[0])
+    RunView(run, frame=1, depth=False, tell=told.append).show()
+    poses = run.trajectory().poses
     frames = [int(np.flatnonzero((poses == pose).all(axis=(1, 2)))[0]) for _, pose in shown]
     assert frames == [1, 2, 3, 2, 2, 4, 0, 0]
     # Open3D writes no text into its window, so each change is told.
@@ -175,7 +173,7 @@ def test_keys_step_through_the_drive_and_change_the_colours(
     assert not np.allclose(before, after)
 
 
-def test_the_view_follows_the_vehicle(open3d, finished, tmp_path):
+def test_the_view_follows_the_vehicle(finished):
     class Window:
         """A window that remembers what is in it and where it looks from."""
 
@@ -203,20 +201,9 @@ def test_the_view_follows_the_vehicle(open3d, finished, tmp_path):
     T_lidar_viewer[:3, 3] = -5, 1, 3
     window.extrinsic = np.linalg.inv(before @ T_lidar_viewer)
     window.shown = ["old"]
-    stage = viewer._Stage({"points": "old"}, before)
-    stage.change(lambda: ({"points": "new"}, after), window)
+    exchange(window, ({"points": "old"}, before), ({"points": "new"}, after))
     assert window.shown == ["new"]
     np.testing.assert_allclose(np.linalg.inv(window.extrinsic), after @ T_lidar_viewer, atol=1e-9)
-
-
-def test_an_image_needs_no_display(open3d, finished: tuple[Path, str], tmp_path: Path) -> None:
-    try:
-        viewer.view_run(finished[0], frame=2, image=tmp_path / "view.png")
-    except BackendError as error:
-        pytest.skip(str(error))
-    picture = cv2.imread(str(tmp_path / "view.png"))
-    assert picture.std() > 5
-    assert (picture[:80, :400] == 255).sum() > 300  # the legend, in the empty sky
 
 
 def test_the_verb_names_the_image_and_prints_no_error(
@@ -229,15 +216,18 @@ def test_the_verb_names_the_image_and_prints_no_error(
         pytest.skip(made.output)
     assert made.output.replace("\n", "") == str(image)
     assert "error" not in "".join(capfd.readouterr())
+    picture = cv2.imread(str(image))
+    assert picture.std() > 5
+    assert (picture[:80, :400] == 255).sum() > 300  # the legend, in the empty sky
 
 
 def test_without_a_display_the_error_says_so(open3d, monkeypatch) -> None:
-    monkeypatch.setattr(viewer, "has_display", lambda: False)
+    monkeypatch.setattr(viewer, "_has_display", lambda: False)
     with pytest.raises(BackendError, match="no display"):
-        viewer.show({})
+        viewer.show({}, np.eye(4))
 
 
 def test_without_open3d_the_error_names_the_package(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(MissingExtraError, match=r"docdepth\[viz\].*libusb"):
-        scene_geometries(np.zeros((1, 3), np.float32), np.zeros(1, np.uint16))
+        scene_geometries(np.zeros((1, 3), np.float32), np.zeros((1, 3)))

@@ -140,7 +140,7 @@ def view(
     from docdepth.pipeline.plan import require
     from docdepth.pipeline.run_cameras import cameras_at_hand
     from docdepth.visualization.rerun_recording import write_rerun
-    from docdepth.visualization.viewer import view_run
+    from docdepth.visualization.viewer import RunView
 
     folder = RunFolder.open(run)
     require(folder, "classify")
@@ -158,6 +158,6 @@ def view(
     elif not volume.quiet:
         out.print("keys: right, left, page down, page up: sweep; C: colours; D: depth map; Q: end")
         tell = partial(out.print, soft_wrap=True, markup=False)
-    view_run(folder, frame, camera, around, True, image, color, stream, tell)  # type: ignore[arg-type]
+    RunView(folder, frame, camera, around, True, color, stream, tell).show(image)  # type: ignore[arg-type]
     if image is not None:
         out.print(f"{image}", soft_wrap=True, markup=False)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,6 @@ from docdepth.visualization.pictures import (
 Coloring: TypeAlias = Literal["class", "votes", "instance"]
 """What the colour of a point says."""
 
-
 _UNKNOWN_COLOR = (90, 90, 90)  # BGR, of points without votes or instance
 
 
@@ -44,7 +43,6 @@ class SweepScene:
     ----------
     points : ndarray of float32, shape (N, 3)
         LiDAR frame [m].
-    classid : ndarray of uint16, shape (N,)
     colors : ndarray of float64, shape (N, 3)
         RGB, 0..1.
     T_world_lidar : ndarray of float64, shape (4, 4)
@@ -53,7 +51,6 @@ class SweepScene:
     """
 
     points: NDArray[np.float32]
-    classid: NDArray[np.uint16]
     colors: NDArray[np.float64]
     T_world_lidar: NDArray[np.float64]
     boxes: list[tuple[Track, NDArray[np.float64]]]
@@ -97,23 +94,18 @@ def sweep_scene(
         A sweep is missing or not classified.
     """
     T_world_lidar, time = trajectory.poses[index], int(trajectory.times[index])
-    points, classes, colors = [], [], []
+    points, colors = [], []
     for k in range(max(index - around, 0), min(index + around + 1, len(trajectory))):
         sweep, classid = run.classified_frame(k)
-        if k == index:
-            kept, moved = np.ones(len(classid), np.bool_), sweep.points
-        else:  # moving objects of other sweeps would leave trails
-            kept = classid < DYNAMIC
-            T = inverse(T_world_lidar) @ trajectory.poses[k]
-            moved = (sweep.points @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
-        points.append(moved[kept])
-        classes.append(classid[kept])
-        colors.append(point_colors(sweep, classid, color)[kept])
+        seen, tones = sweep.points, point_colors(sweep, classid, color)
+        if k != index:  # moving objects of other sweeps would leave trails
+            kept, T = classid < DYNAMIC, inverse(T_world_lidar) @ trajectory.poses[k]
+            seen = (seen @ T[:3, :3].T + T[:3, 3]).astype(np.float32)[kept]
+            tones = tones[kept]
+        points.append(seen)
+        colors.append(tones)
     boxes = [(track, track.pose_at(time)) for track in tracks.between(time, time)]
-    return SweepScene(
-        np.concatenate(points), np.concatenate(classes), np.concatenate(colors),
-        T_world_lidar, boxes,
-    )  # fmt: skip
+    return SweepScene(np.concatenate(points), np.concatenate(colors), T_world_lidar, boxes)
 
 
 def camera_views(
@@ -178,30 +170,6 @@ def back_project(camera: Camera, depth: NDArray[np.float32]) -> NDArray[np.float
     return np.column_stack([(u - cx) / fx * z, (v - cy) / fy * z, z])
 
 
-def class_colors(classid: NDArray[np.uint16]) -> NDArray[np.float64]:
-    """RGB colour of each point by its class, float64 (N, 3), 0..1."""
-    return colors_of_classes(classid)[:, ::-1] / 255
-
-
-def vote_colors(
-    votes_static: NDArray[np.uint16], votes_dynamic: NDArray[np.uint16]
-) -> NDArray[np.float64]:
-    """RGB colour of each point by its votes: from the static grey to the dynamic orange.
-
-    Points without votes are dark. float64 (N, 3), 0..1.
-    """
-    count = votes_static.astype(np.float64) + votes_dynamic
-    share = (votes_dynamic / np.maximum(count, 1))[:, None]
-    colors = (1 - share) * STATIC_COLOR + share * DYNAMIC_COLOR
-    return np.asarray(np.where(count[:, None] > 0, colors, _UNKNOWN_COLOR)[:, ::-1] / 255)
-
-
-def instance_colors(instance: NDArray[np.uint16]) -> NDArray[np.float64]:
-    """RGB colour of each point by its track, dark without one; float64 (N, 3), 0..1."""
-    colors = np.array(TRACK_COLORS)[instance % len(TRACK_COLORS)]
-    return np.asarray(np.where(instance[:, None] > 0, colors, _UNKNOWN_COLOR)[:, ::-1] / 255)
-
-
 def point_colors(
     record: LidarFrame, classid: NDArray[np.uint16], color: Coloring
 ) -> NDArray[np.float64]:
@@ -219,3 +187,29 @@ def point_colors(
     if color == "instance" and record.instance is not None:
         return instance_colors(record.instance)
     raise InputError(f"frame {record.name} has no {color}: its classes are of another method")
+
+
+def class_colors(classid: NDArray[np.uint16]) -> NDArray[np.float64]:
+    """RGB colour of each point by its class, float64 (N, 3), 0..1."""
+    return _rgb(colors_of_classes(classid))
+
+
+def vote_colors(
+    votes_static: NDArray[np.uint16], votes_dynamic: NDArray[np.uint16]
+) -> NDArray[np.float64]:
+    """RGB colour of each point by its votes, from static grey to dynamic orange; dark without."""
+    count = votes_static.astype(np.float64) + votes_dynamic
+    share = (votes_dynamic / np.maximum(count, 1))[:, None]
+    colors = (1 - share) * STATIC_COLOR + share * DYNAMIC_COLOR
+    return _rgb(np.where(count[:, None] > 0, colors, _UNKNOWN_COLOR))
+
+
+def instance_colors(instance: NDArray[np.uint16]) -> NDArray[np.float64]:
+    """RGB colour of each point by its track, dark without one."""
+    colors = np.array(TRACK_COLORS)[instance % len(TRACK_COLORS)]
+    return _rgb(np.where(instance[:, None] > 0, colors, _UNKNOWN_COLOR))
+
+
+def _rgb(colors: NDArray[Any]) -> NDArray[np.float64]:
+    """BGR of 0..255 as RGB of 0..1."""
+    return np.asarray(colors[:, ::-1] / 255.0)

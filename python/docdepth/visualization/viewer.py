@@ -6,7 +6,7 @@ import contextlib
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias, get_args
@@ -16,55 +16,57 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream
-from docdepth.errors import BackendError, InputError, RunError
+from docdepth.errors import BackendError, InputError, MissingExtraError, RunError
 from docdepth.geometry.se3 import inverse
-from docdepth.geometry.trajectory import Trajectory
+from docdepth.geometry.track import Track
 from docdepth.io.run_folder import RunFolder
-from docdepth.visualization.drive_scene import Coloring
-from docdepth.visualization.geometries import open3d_module, run_geometries
-from docdepth.visualization.image_views import write_text
+from docdepth.io.tracks import tracks_in
+from docdepth.visualization.drive_scene import (
+    CameraView,
+    Coloring,
+    back_project,
+    camera_views,
+    sweep_scene,
+)
+from docdepth.visualization.image_views import BOX_EDGES, box_corners, track_color, write_text
+from docdepth.visualization.pictures import colorize
 
 Scene: TypeAlias = tuple[dict[str, Any], NDArray[np.float64]]
 """Geometries, and the pose of the LiDAR that they belong to."""
 
+_FRUSTUM = 2.0  # length of a camera's frustum [m]
+_TRAJECTORY_COLOR, _CAMERA_COLOR = (1.0, 0.75, 0.0), (0.1, 0.5, 1.0)
 _STEPS = {262: 1, 263: -1, 266: -10, 267: 10}  # GLFW: right, left, page up, page down
 _BACKGROUND = (0.09, 0.09, 0.09)
 _POINT_SIZE = 2.0  # pixels
-_WINDOW = {"window_name": "docdepth", "width": 1200, "height": 700}  # fits on a small screen
-_IMAGE = {"window_name": "docdepth", "width": 1600, "height": 900}
+_WINDOW, _IMAGE = (1200, 700), (1600, 900)  # pixels; the window fits on a small screen
 _LINE = 24  # between two lines of text [pixels]
 _POINTS = {
     "class": "blue ground, light grey static, orange moving",
     "votes": "light grey static to orange moving, dark without votes",
     "instance": "coloured as their boxes, dark without an instance",
 }
-# Position of the viewer in the LiDAR frame [m], and how far it looks down [rad].
-_VIEWER, _PITCH = (-14.0, 0.0, 7.0), 0.3
+_DOWN = 0.3  # how far the viewer looks down [rad]
+_T_LIDAR_VIEWER = np.array([
+    (0, -np.sin(_DOWN), np.cos(_DOWN), -14.0),
+    (-1, 0, 0, 0),
+    (0, -np.cos(_DOWN), -np.sin(_DOWN), 7.0),
+    (0, 0, 0, 1),
+])  # fmt: skip
 
 
-def view_run(
-    run: Path | str | RunFolder,
-    frame: int | None = None,
-    camera: str | None = None,
-    around: int = 0,
-    depth: bool = True,
-    image: Path | None = None,
-    color: Coloring = "class",
-    stream: CameraStream | None = None,
-    tell: Callable[[str], None] | None = None,
-) -> None:
-    """Show a sweep of a run in a window, with tracks, trajectory, cameras and a depth map.
+@dataclass
+class RunView:
+    """A sweep of a run in 3D, with tracks, trajectory, cameras and a depth map.
 
     Ground is blue, static points are light grey, dynamic points orange. Boxes have the colours of
     their tracks, with a line ahead. The depth map nearest in time to the sweep is back-projected,
-    in the colours of its image or else of depth. The image stands in its frustum. Keys: right and
-    left go to the next sweep and back, page down and page up by ten, C colours by class, votes or
-    instance, D hides the depth map.
+    in the colours of its image or else of depth. The image stands in its frustum.
 
-    Parameters
+    Attributes
     ----------
-    run : Path, str or RunFolder
-        Run folder with classified sweeps.
+    run : RunFolder
+        With classified sweeps.
     frame : int, optional
         Index of the sweep; the middle of the drive by default.
     camera : str, optional
@@ -73,63 +75,71 @@ def view_run(
         Also show the static points of as many sweeps before and after.
     depth : bool
         Show cameras and the depth map.
-    image : Path, optional
-        Write a PNG of the view instead of opening a window; needs no display.
     color : {"class", "votes", "instance"}
         What the colours of points say. Votes go from grey, static, to orange, dynamic.
     stream : CameraStream, optional
         The camera; its images are shown.
     tell : callable, optional
-        Called with what the window shows, whenever that changes: Open3D writes no text into it.
+        Called with what is shown, whenever that changes: Open3D writes no text into its window.
 
     Raises
     ------
-    BackendError
-        There is no display.
     InputError
-        The run has no such sweep, or no votes or instances.
-    MissingExtraError
-        Open3D is not installed.
-    RunError
-        The sweep is not classified.
+        The run has no such sweep.
     """
-    folder = RunFolder.open(run)
-    trajectory = folder.trajectory()
-    frame = len(trajectory) // 2 if frame is None else frame
-    shown = _Shown(folder, trajectory, frame, color, camera, around, depth, stream, tell)
-    geometries, pose = shown.go(0)
-    keys: dict[int, Callable[[], Scene]] = {
-        key: partial(shown.go, by) for key, by in _STEPS.items()
-    }
-    keys |= {ord("C"): shown.recolor, ord("D"): shown.hide_depth}
-    show(geometries, pose, image, keys, shown.legend(geometries))
-
-
-@dataclass
-class _Shown:
-    """What a window shows of a run."""
 
     run: RunFolder
-    trajectory: Trajectory
-    frame: int
-    color: Coloring
-    camera: str | None
-    around: int
-    depth: bool
-    stream: CameraStream | None
-    tell: Callable[[str], None] | None
+    frame: InitVar[int | None] = None
+    camera: str | None = None
+    around: int = 0
+    depth: bool = True
+    color: Coloring = "class"
+    stream: CameraStream | None = None
+    tell: Callable[[str], None] | None = None
+
+    def __post_init__(self, frame: int | None) -> None:
+        self.trajectory, self.tracks = self.run.trajectory(), tracks_in(self.run.path)
+        count = len(self.trajectory)
+        self.index = count // 2 if frame is None else frame
+        if not 0 <= self.index < count:
+            raise InputError(f"{self.run.path} has sweeps 0 to {count - 1}, not {frame}")
+
+    def show(self, image: Path | None = None) -> None:
+        """Show it in a window, or write a PNG of it, as :func:`show` does.
+
+        Keys: right and left go to the next sweep and back, page down and page up by ten, C colours
+        by class, votes or instance, D hides the depth map.
+
+        Raises
+        ------
+        InputError
+            The run has no votes or instances.
+        RunError
+            The sweep is not classified.
+        """
+        geometries, pose = self.go(0)
+        keys: dict[int, Callable[[], Scene]] = {
+            key: partial(self.go, by) for key, by in _STEPS.items()
+        }
+        keys |= {ord("C"): self.recolor, ord("D"): self.hide_depth}
+        show(geometries, pose, image, keys, self.legend(geometries))
 
     def go(self, by: int) -> Scene:
         """Go on by some sweeps, not beyond the ends."""
-        poses = self.trajectory.poses
-        if by:
-            self.frame = min(max(self.frame + by, 0), len(poses) - 1)
-        geometries = run_geometries(
-            self.run, self.frame, self.camera, self.around, self.depth, self.color, self.stream
-        )
+        trajectory = self.trajectory
+        self.index = min(max(self.index + by, 0), len(trajectory) - 1)
+        scene = sweep_scene(self.run, trajectory, self.index, self.color, self.tracks, self.around)
+        views: list[CameraView] = []
+        if self.depth:
+            time = int(trajectory.times[self.index])
+            found = camera_views(self.run, trajectory, self.camera, self.stream, time)
+            views = [view for _, view in found]
+        T = scene.T_world_lidar
+        points = (scene.points @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+        geometries = scene_geometries(points, scene.colors, trajectory.poses, views, scene.boxes)
         if self.tell:
             self.tell("; ".join(self.legend(geometries)))
-        return geometries, poses[self.frame]
+        return geometries, T
 
     def recolor(self) -> Scene:
         """Colour points by the next of class, votes and instance that the run has."""
@@ -148,9 +158,9 @@ class _Shown:
     def legend(self, geometries: Mapping[str, Any]) -> list[str]:
         """What is shown and what its colours say, line by line."""
         times = self.trajectory.times
-        seconds = (times[self.frame] - times[0]) * 1e-9
+        seconds = (times[self.index] - times[0]) * 1e-9
         lines = [
-            f"sweep {self.frame} of 0 to {len(times) - 1}, {seconds:.1f} s",
+            f"sweep {self.index} of 0 to {len(times) - 1}, {seconds:.1f} s",
             f"points by {self.color}: {_POINTS[self.color]}",
         ]
         if "tracks" in geometries:
@@ -162,9 +172,114 @@ class _Shown:
         return lines
 
 
+def scene_geometries(
+    points: NDArray[np.float32],
+    colors: NDArray[np.float64],
+    poses: NDArray[np.float64] | None = None,
+    views: Sequence[CameraView] = (),
+    boxes: Sequence[tuple[Track, NDArray[np.float64]]] = (),
+) -> dict[str, Any]:
+    """Open3D geometries of a sweep or map, a trajectory, cameras and tracks.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        World frame [m].
+    colors : ndarray of float64, shape (N, 3)
+        RGB of the points, 0..1.
+    poses : ndarray of float64, shape (n, 4, 4), optional
+        ``T_world_lidar``, drawn as a line.
+    views : sequence of CameraView
+        Drawn as frusta, with the image in the frustum; their depth maps are back-projected, in the
+        colours of the image or else of the depth.
+    boxes : sequence of (Track, ndarray of float64, shape (4, 4))
+        Tracks and ``T_world_object``.
+
+    Returns
+    -------
+    dict of str to open3d.geometry.Geometry
+        ``points``, ``tracks``, ``trajectory``, ``camera 0`` ..., ``image 0`` ..., ``depth 0`` ...,
+        world frame.
+
+    Raises
+    ------
+    InputError
+        A depth map does not fit its camera.
+    MissingExtraError
+        Open3D is not installed.
+    """
+    o3d = _open3d_module()
+    geometries = {"points": _cloud(o3d, points, colors)}
+    if boxes:
+        geometries["tracks"] = _boxes(o3d, boxes)
+    if poses is not None and len(poses) > 1:
+        ends = np.column_stack([np.arange(len(poses) - 1), np.arange(1, len(poses))])
+        geometries["trajectory"] = _lines(o3d, np.ascontiguousarray(poses[:, :3, 3]), ends)
+        geometries["trajectory"].paint_uniform_color(_TRAJECTORY_COLOR)
+    for k, view in enumerate(views):
+        camera, T = view.camera, view.T_world_camera
+        frustum = o3d.geometry.LineSet.create_camera_visualization(
+            camera.width, camera.height, camera.K, inverse(T), scale=_FRUSTUM
+        )
+        frustum.paint_uniform_color(_CAMERA_COLOR)
+        geometries[f"camera {k}"] = frustum
+        if view.depth is not None:
+            local = back_project(camera, view.depth)
+            picture = colorize(view.depth, bar=False) if view.image is None else view.image
+            tones = picture[np.isfinite(view.depth)][:, ::-1] / 255.0
+            geometries[f"depth {k}"] = _cloud(o3d, local @ T[:3, :3].T + T[:3, 3], tones)
+        if view.image is not None:
+            geometries[f"image {k}"] = _picture(o3d, view)
+    return geometries
+
+
+def _cloud(o3d: Any, points: NDArray[Any], colors: NDArray[np.float64]) -> Any:
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
+    cloud.colors = o3d.utility.Vector3dVector(colors)
+    return cloud
+
+
+def _lines(o3d: Any, points: NDArray[np.float64], ends: NDArray[np.integer[Any]]) -> Any:
+    """Lines between pairs of points."""
+    return o3d.geometry.LineSet(
+        o3d.utility.Vector3dVector(points), o3d.utility.Vector2iVector(ends.astype(np.int32))
+    )
+
+
+def _boxes(o3d: Any, boxes: Sequence[tuple[Track, NDArray[np.float64]]]) -> Any:
+    """The edges of the boxes, in the colours of the tracks, each with a line ahead."""
+    points, edges, colors = [], [], []
+    for k, (track, T_world_object) in enumerate(boxes):
+        nose = np.array([(0.5, 0, 0.5), (1.0, 0, 0.5)]) * track.size
+        local = np.concatenate([box_corners(track), nose])
+        points.append(local @ T_world_object[:3, :3].T + T_world_object[:3, 3])
+        edges.append(np.array([*BOX_EDGES, (8, 9)]) + 10 * k)
+        colors += [track_color(track.id)[::-1]] * (len(BOX_EDGES) + 1)
+    lines = _lines(o3d, np.concatenate(points), np.concatenate(edges))
+    lines.colors = o3d.utility.Vector3dVector(np.array(colors) / 255)
+    return lines
+
+
+def _picture(o3d: Any, view: CameraView) -> Any:
+    """The image at the end of its frustum."""
+    T, (width, height) = view.T_world_camera, (view.camera.width, view.camera.height)
+    corners = np.array([(0, 0), (width, 0), (width, height), (0, height)])
+    local = np.column_stack([corners - 0.5, np.ones(4)]) @ np.linalg.inv(view.camera.K).T
+    rectangle = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(_FRUSTUM * local @ T[:3, :3].T + T[:3, 3]),
+        o3d.utility.Vector3iVector(np.array([(0, 1, 2), (0, 2, 3)], np.int32)),
+    )
+    places = np.array([(0, 0), (1, 0), (1, 1), (0, 0), (1, 1), (0, 1)], np.float64)
+    rectangle.triangle_uvs = o3d.utility.Vector2dVector(places)
+    rectangle.triangle_material_ids = o3d.utility.IntVector([0, 0])
+    assert view.image is not None
+    rectangle.textures = [o3d.geometry.Image(np.ascontiguousarray(view.image[:, :, ::-1]))]
+    return rectangle
+
+
 def show(
-    geometries: Mapping[str, Any],
-    T_world_lidar: NDArray[np.float64] | None = None,
+    geometries: dict[str, Any],
+    T_world_lidar: NDArray[np.float64],
     image: Path | None = None,
     keys: Mapping[int, Callable[[], Scene]] | None = None,
     legend: Sequence[str] = (),
@@ -173,10 +288,10 @@ def show(
 
     Parameters
     ----------
-    geometries : mapping of str to open3d.geometry.Geometry
+    geometries : dict of str to open3d.geometry.Geometry
         From :func:`scene_geometries`.
-    T_world_lidar : ndarray of float64, shape (4, 4), optional
-        The view starts behind and above this pose; otherwise it shows everything.
+    T_world_lidar : ndarray of float64, shape (4, 4)
+        The view starts behind and above this pose.
     image : Path, optional
         Write a PNG instead of opening a window; needs no display.
     keys : mapping of int to callable, optional
@@ -192,28 +307,33 @@ def show(
     MissingExtraError
         Open3D is not installed.
     """
-    o3d = open3d_module()
-    if image is None and not has_display():
+    o3d = _open3d_module()
+    if image is None and not _has_display():
         raise BackendError(
             "no display to open a window on (DISPLAY is not set); write an image instead"
         )
     if image is not None:  # without a display Open3D warns of it, and then draws all the same
         o3d.utility.set_verbosity_level(o3d.utility.VerbosityLevel.Error)
     window = o3d.visualization.VisualizerWithKeyCallback()
-    size = _WINDOW if image is None else _IMAGE
-    if not window.create_window(visible=image is None, **size):
+    width, height = _WINDOW if image is None else _IMAGE
+    if not window.create_window("docdepth", width, height, visible=image is None):
         raise BackendError("Open3D cannot render here: neither a display nor EGL is available")
+    shown = [(geometries, T_world_lidar)]
+
+    def press(change: Callable[[], Scene], window: Any) -> bool:
+        shown.append(change())
+        exchange(window, shown.pop(0), shown[0])
+        return True
+
     try:
         for geometry in geometries.values():
             window.add_geometry(geometry)
         options = window.get_render_option()
         options.background_color, options.point_size = np.array(_BACKGROUND), _POINT_SIZE
         options.mesh_show_back_face = True  # images are seen from behind their cameras
-        if T_world_lidar is not None:
-            _look_from(window, T_world_lidar @ _viewer_pose())
-            stage = _Stage(dict(geometries), T_world_lidar)
-            for key, change in (keys or {}).items():
-                window.register_key_callback(key, partial(stage.change, change))
+        _look_from(window, T_world_lidar @ _T_LIDAR_VIEWER)
+        for key, change in (keys or {}).items():
+            window.register_key_callback(key, partial(press, change))
         if image is None:
             window.run()
         else:
@@ -224,24 +344,14 @@ def show(
         window.destroy_window()
 
 
-@dataclass
-class _Stage:
-    """The geometries in a window and the pose that they belong to."""
-
-    geometries: dict[str, Any]
-    T_world_lidar: NDArray[np.float64]
-
-    def change(self, new: Callable[[], Scene], window: Any) -> bool:
-        """Replace the geometries; the view stays where it was, seen from the LiDAR."""
-        T_world_viewer = inverse(_view_of(window).extrinsic)
-        T_lidar_viewer = inverse(self.T_world_lidar) @ T_world_viewer
-        for geometry in self.geometries.values():
-            window.remove_geometry(geometry, reset_bounding_box=False)
-        self.geometries, self.T_world_lidar = new()
-        for geometry in self.geometries.values():
-            window.add_geometry(geometry, reset_bounding_box=False)
-        _look_from(window, self.T_world_lidar @ T_lidar_viewer)
-        return True
+def exchange(window: Any, old: Scene, new: Scene) -> None:
+    """Replace the geometries in a window; the view stays where it was, seen from the LiDAR."""
+    T_lidar_viewer = inverse(old[1]) @ inverse(_view_of(window).extrinsic)
+    for geometry in old[0].values():
+        window.remove_geometry(geometry, reset_bounding_box=False)
+    for geometry in new[0].values():
+        window.add_geometry(geometry, reset_bounding_box=False)
+    _look_from(window, new[1] @ T_lidar_viewer)
 
 
 def _view_of(window: Any) -> Any:
@@ -270,20 +380,20 @@ def _capture(window: Any, image: Path, legend: Sequence[str]) -> None:
             f"{image} cannot be written; name a .png file in a folder that is there"
         ) from None
     finally:
-        with contextlib.suppress(OSError):
-            part.unlink()
+        part.unlink(missing_ok=True)
 
 
-def _viewer_pose() -> NDArray[np.float64]:
-    """``T_lidar_viewer``: z looks forward and down, y down."""
-    cos, sin = np.cos(_PITCH), np.sin(_PITCH)
-    T_lidar_viewer = np.eye(4)
-    T_lidar_viewer[:3, :3] = np.array([(0, -sin, cos), (-1, 0, 0), (0, -cos, -sin)])
-    T_lidar_viewer[:3, 3] = _VIEWER
-    return T_lidar_viewer
-
-
-def has_display() -> bool:
-    """Whether a window can be opened."""
+def _has_display() -> bool:
     names = ("DISPLAY", "WAYLAND_DISPLAY")
     return not sys.platform.startswith("linux") or any(os.environ.get(name) for name in names)
+
+
+def _open3d_module() -> Any:
+    try:
+        import open3d
+    except ImportError as error:
+        raise MissingExtraError(
+            f'the 3D view needs Open3D: pip install "docdepth[viz]" ({error}; on Debian also '
+            "apt install libusb-1.0-0 libgl1 libgomp1)"
+        ) from None
+    return open3d
