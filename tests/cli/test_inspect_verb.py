@@ -13,7 +13,7 @@ from command_line import cli
 from docdepth.datasets import open_dataset
 from docdepth.geometry.se3 import inverse
 from docdepth.io.poses import write_kitti
-from docdepth.visualization.inspection_text import inspection_lines
+from docdepth.visualization.inspection import inspection_lines
 from small_drive import write_small_drive
 
 

@@ -20,12 +20,11 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import read_tracks
-from docdepth.visualization.drive_map import DriveMap, drive_map, heights_above_ground
+from docdepth.visualization.drive_map import DriveMap, drive_map, heights_above_ground, map_section
 from docdepth.visualization.page import embedded
 from docdepth.visualization.pictures import colorize
 from docdepth.visualization.report import HELD_OUT
 from docdepth.visualization.report_images import IMAGES, budget
-from docdepth.visualization.report_map import map_section
 from small_drive import write_small_drive
 
 

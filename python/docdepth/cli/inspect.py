@@ -44,8 +44,7 @@ def inspect(
     from docdepth.diagnostics.recording_report import inspect_recording
     from docdepth.pipeline.run_inputs import known_poses, open_recording
     from docdepth.pipeline.stage import recorded_warnings
-    from docdepth.visualization.inspection_page import write_inspection
-    from docdepth.visualization.inspection_text import inspection_lines
+    from docdepth.visualization.inspection import inspection_lines, write_inspection
     from docdepth.visualization.page import check_page
 
     check_page(output)

@@ -16,9 +16,19 @@ from docdepth.evaluation.held_out import JudgedView
 from docdepth.evaluation.runs import JudgedImage, JudgedSweep
 from docdepth.evaluation.tables import Table
 from docdepth.geometry.points import DYNAMIC, STATIC
-from docdepth.visualization import flip_book as flips
-from docdepth.visualization.flip_book import Leaf, flip_book, scripts
-from docdepth.visualization.page import embedded, head, scale, swatches, table, write_page
+from docdepth.visualization.image_views import photo_of
+from docdepth.visualization.page import (
+    FLIP_STYLE,
+    Leaf,
+    embedded,
+    flip_book,
+    head,
+    scale,
+    scripts,
+    swatches,
+    table,
+    write_page,
+)
 from docdepth.visualization.pictures import (
     BACKGROUND,
     FALSE_COLOR,
@@ -104,7 +114,7 @@ class ErrorPage:
             There is a file that is no page of docdepth, or none can be written.
         """
         leaves = [leaf for _, _, leaf in self._worst]
-        parts = [head(self._title, flips.STYLE + _STYLE), f"<p>{escape(self._what)}</p>"]
+        parts = [head(self._title, FLIP_STYLE + _STYLE), f"<p>{escape(self._what)}</p>"]
         parts += [f"<p><b>warning:</b> {escape(line)}</p>" for line in found]
         if leaves:
             of = f"worst first, {len(leaves)} of {len(self._scores)}; keys: arrows and 1, 2, 3 ..."
@@ -159,7 +169,7 @@ class DepthPage(ErrorPage):
                 "depth": colorize(image.depth, bar=False),
                 "truth": colorize(_thick(image.truth), bar=False),
             }
-            photo = _photo(self._stream, image.name)
+            photo = photo_of(self._stream, image.name)
             return views if photo is None else {**views, "image": photo}
 
         self.add(image.name, score, f"image {image.name}: {caption}", pictures)
@@ -228,7 +238,9 @@ class HeldOutPage(ErrorPage):
             return None
         apart = np.abs(self._stream.times - time)
         nearest = int(apart.argmin())
-        return _photo(self._stream, self._stream.names[nearest]) if apart[nearest] < _SOON else None
+        return (
+            photo_of(self._stream, self._stream.names[nearest]) if apart[nearest] < _SOON else None
+        )
 
 
 class LabelPage(ErrorPage):
@@ -351,9 +363,3 @@ def _at(truth: Depth, depth: Depth) -> Depth:
             moved = np.roll(truth, (down, right), (0, 1))
             result = np.where(moved == thick, np.roll(depth, (down, right), (0, 1)), result)
     return result
-
-
-def _photo(stream: CameraStream | None, name: str) -> Picture | None:
-    if stream is None or not stream.images or name not in stream.names:
-        return None
-    return stream.rectified_image(stream.names.index(name))

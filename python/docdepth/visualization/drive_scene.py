@@ -22,6 +22,7 @@ from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import described_maps, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
+from docdepth.visualization.image_views import photo_of
 from docdepth.visualization.pictures import (
     DYNAMIC_COLOR,
     STATIC_COLOR,
@@ -140,10 +141,8 @@ def camera_views(
         times = {name: times[name]}
     for name, time in times.items():
         pose = trajectory.interpolate([time])[0] @ inverse(T_camera_lidar)
-        image = None
-        if stream is not None and name in stream.names:
-            image = stream.rectified_image(stream.names.index(name))
-        yield time, CameraView(pinhole, pose, read_depth(files[name]), image)
+        depth, image = read_depth(files[name]), photo_of(stream, name)
+        yield time, CameraView(pinhole, pose, depth, image)
 
 
 def back_project(camera: Camera, depth: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -9,12 +9,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.datasets.base import CameraStream
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.track import Track
 from docdepth.visualization.pictures import (
-    BACKGROUND,
     TRACK_COLORS,
     Picture,
+    blended,
     colors_of_classes,
 )
 
@@ -32,6 +33,13 @@ _OPACITY = 0.65  # of colours over the image
 _NO_DEPTH, _NO_INSTANCE = 255, 0  # in the layers
 
 
+def photo_of(stream: CameraStream | None, name: str) -> Picture | None:
+    """The rectified image of a camera with this name, if it is at hand."""
+    if stream is None or name not in stream.names:
+        return None
+    return stream.rectified_image(stream.names.index(name))
+
+
 def view_of_layer(name: str, values: NDArray[Any], image: Picture | None) -> Picture:
     """Draw the layer ``class``, ``confidence``, ``seen`` or ``instance`` over the image.
 
@@ -44,22 +52,18 @@ def view_of_layer(name: str, values: NDArray[Any], image: Picture | None) -> Pic
         BGR; dark where the layer holds nothing. Confidence alone is drawn without it, so that its
         colours can be compared with their scale.
     """
+    known = values != (_NO_INSTANCE if name == "instance" else _NO_DEPTH)
     if name == "confidence":
-        image = None
-        known = np.isfinite(values) & (values > 0)
+        image, known = None, np.isfinite(values) & (values > 0)
         share = np.clip((np.where(known, values, 0) - DOUBTFUL) / (1 - DOUBTFUL), 0, 1)
-        steps = np.rint(255 * share).astype(np.uint8)
-        colors = CONFIDENCE_COLORS[steps]
+        colors = CONFIDENCE_COLORS[np.rint(255 * share).astype(np.uint8)]
     elif name == "class":
-        known = values != _NO_DEPTH
         colors = colors_of_classes(values)
     elif name == "seen":
-        known = values != _NO_DEPTH
         colors = np.array(SEEN_COLORS, np.uint8)[np.where(known, values, 0)]
     else:
-        known = values != _NO_INSTANCE
         colors = np.array(TRACK_COLORS, np.uint8)[values % len(TRACK_COLORS)]
-    return _over(np.asarray(colors, np.uint8), known, image)
+    return blended(np.asarray(colors, np.uint8), known, image, _OPACITY)
 
 
 def view_of_points(
@@ -76,7 +80,9 @@ def view_of_points(
     image : ndarray of uint8, shape (h, w, 3), optional
         BGR.
     """
-    picture = _over(*_nothing(camera), image)
+    shape = (camera.height, camera.width)
+    nothing = np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.bool_)
+    picture = blended(*nothing, image, _OPACITY)
     ahead = np.flatnonzero(points[:, 2] > _NEAR)
     u, v = np.rint(_pixels(points[ahead], camera)).T
     inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
@@ -116,9 +122,8 @@ def draw_tracks(
     for track, T_camera_object in sorted(there, key=lambda item: -item[1][2, 3]):
         corners = box_corners(track) @ T_camera_object[:3, :3].T + T_camera_object[:3, 3]
         color = track_color(track.id)
-        ends = [_clipped(corners[a], corners[b]) for a, b in BOX_EDGES]
-        lines = [_pixels(np.array(pair), camera) for pair in ends if pair is not None]
-        lines = [line for line in lines if np.abs(line).max() < 1e5]
+        lines = [_pixels(_clipped(corners[list(edge)]), camera) for edge in BOX_EDGES]
+        lines = [line for line in lines if len(line) and np.abs(line).max() < 1e5]
         if not lines:
             continue
         every, size = np.concatenate(lines), (camera.width, camera.height)
@@ -163,32 +168,18 @@ def write_text(
     cv2.putText(picture, text, place, font, 0.55, color, 2, cv2.LINE_AA)
 
 
-def _over(colors: Picture, known: NDArray[np.bool_], image: Picture | None) -> Picture:
-    if image is None:
-        return np.where(known[..., None], colors, np.uint8(BACKGROUND))
-    gray = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
-    blended = cv2.addWeighted(colors, _OPACITY, gray, 1 - _OPACITY, 0)
-    return np.where(known[..., None], blended, cv2.convertScaleAbs(gray, alpha=0.5)).astype(
-        np.uint8
-    )
-
-
-def _nothing(camera: Camera) -> tuple[Picture, NDArray[np.bool_]]:
-    shape = (camera.height, camera.width)
-    return np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.bool_)
-
-
 def _pixels(points: NDArray[np.floating], camera: Camera) -> NDArray[np.float64]:
     return np.asarray((points / points[:, 2:]) @ camera.K[:2].T, np.float64)
 
 
-def _clipped(
-    a: NDArray[np.float64], b: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """The part of a line that lies ahead of the camera."""
-    if a[2] < _NEAR and b[2] < _NEAR:
-        return None
-    if a[2] >= _NEAR and b[2] >= _NEAR:
-        return a, b
-    cut = a + (b - a) * (_NEAR - a[2]) / (b[2] - a[2])
-    return (cut, b) if a[2] < _NEAR else (a, cut)
+def _clipped(ends: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The part of a line (2, 3) that lies ahead of the camera; empty where none does."""
+    z = ends[:, 2]
+    if (z >= _NEAR).all():
+        return ends
+    if (z < _NEAR).all():
+        return ends[:0]
+    behind = int(z[1] < _NEAR)
+    result = ends.copy()
+    result[behind] = ends[0] + (ends[1] - ends[0]) * (_NEAR - z[0]) / (z[1] - z[0])
+    return result

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.geometry.camera import Camera
-from docdepth.visualization.pictures import Picture, overlay
+from docdepth.visualization.pictures import Picture, overlay, round_length
 
 COLORS = ((90, 90, 255), (110, 220, 90), (255, 170, 70))
 """Of the first, second and third sweep: red, green, blue. Where all three are, it is white."""
@@ -19,7 +19,6 @@ _PATH = (0, 230, 255)
 _BACKGROUND = 24
 _NEAR = 0.1  # metres ahead of a camera; nearer points are not in front of it
 _POINT = 1 / 900  # half the side of a point, as a share of the image's width
-_SCALES = (1, 2, 5, 10, 20, 50, 100, 200, 500)  # metres of the bar
 
 
 def clouds_in_plane(
@@ -107,7 +106,7 @@ def points_on_image(
 def _with_scale(picture: Picture, scale: float) -> Picture:
     """A bar of a round length in the lower left corner."""
     height, width = picture.shape[:2]
-    metres = max((m for m in _SCALES if m * scale < width / 3), default=1)
+    metres = round_length(width / 3 / scale)
     y, length = height - 12, round(metres * scale)
     cv2.line(picture, (10, y), (10 + length, y), (255, 255, 255), 2)
     cv2.putText(

@@ -1,11 +1,12 @@
-"""Pages of docdepth: tables, pictures and legends in HTML that needs nothing else."""
+"""Pages of docdepth: tables, pictures, legends and images to flip between, in one HTML file."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -35,7 +36,21 @@ figcaption, .note { color: #595959; font-size: 13px }
 .scale span:last-child { transform: translateX(-100%) }
 """
 
+FLIP_STYLE = """
+.row { display: flex; flex-wrap: wrap; gap: .6em; align-items: center; margin: .4em 0 }
+.row input { flex: 1; min-width: 60px }
+button { font: inherit; padding: .15em .8em; border: 1px solid #888; border-radius: 4px;
+  background: #f2f2f2; cursor: pointer }
+button[aria-pressed=true] { background: #003c96; color: #fff }
+.views { background: #181818; min-height: 60px } .views img { display: block; width: 100%;
+  max-height: 78vh; object-fit: contain }
+[hidden], .views img[hidden] { display: none }
+"""
+"""Of a page with a :func:`flip_book`."""
+
 _QUALITIES = (90, 80, 65, 45, 25, 10)
+# Thin coloured lines and points smear where colours are sampled more coarsely than brightness.
+_SAMPLING = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 
 
 def head(title: str, style: str = "") -> str:
@@ -109,18 +124,12 @@ def embedded(picture: Picture, most: int | None = None) -> str:
     """
     while True:
         for quality in _QUALITIES:
-            content = _jpeg(picture, quality)
+            how = [cv2.IMWRITE_JPEG_QUALITY, quality, *_SAMPLING]
+            content = cv2.imencode(".jpg", picture, how)[1].tobytes()
             if most is None or len(content) <= most or max(picture.shape[:2]) < 2:
                 return "data:image/jpeg;base64," + base64.b64encode(content).decode()
         half = (max(picture.shape[1] // 2, 1), max(picture.shape[0] // 2, 1))
         picture = np.asarray(cv2.resize(picture, half, interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _jpeg(picture: Picture, quality: int) -> bytes:
-    # Thin coloured lines and points smear where colours are sampled more coarsely than brightness.
-    sampling = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-    encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality, *sampling])[1]
-    return encoded.tobytes()
 
 
 def css(color: Sequence[int]) -> str:
@@ -156,3 +165,72 @@ def scale(colors: Picture, ticks: Iterable[tuple[float, str]]) -> str:
         f'<div class=scale><i style="background:linear-gradient(90deg,{stops})"></i>'
         f"<div>{marks}</div></div>"
     )
+
+
+class Leaf(NamedTuple):
+    """An image of a book.
+
+    Attributes
+    ----------
+    caption : str
+    views : dict of str to str
+        Links that hold the pictures, by view.
+    seconds : float
+        When it was taken, for what else the page shows of that time.
+    """
+
+    caption: str
+    views: dict[str, str]
+    seconds: float = 0.0
+
+
+def flip_book(
+    leaves: Sequence[Leaf], titles: Mapping[str, str], legends: Mapping[str, str], note: str = ""
+) -> str:
+    """Pictures with buttons for the views and a slider for the images.
+
+    Parameters
+    ----------
+    leaves : sequence of Leaf
+        At least one.
+    titles : mapping of str to str
+        What the button of each view says; views that no image has are left out.
+    legends : mapping of str to str
+        HTML below the pictures of a view.
+    note : str
+        What follows the caption.
+    """
+    views = [view for view in titles if any(view in leaf.views for leaf in leaves)]
+    first = views[0]
+    pictures = [
+        f'<img src="{leaf.views[view]}" data-image={k} data-view={view} '
+        f'alt="{escape(titles[view])}"{"" if k == 0 and view == first else " hidden"}>'
+        for k, leaf in enumerate(leaves)
+        for view in views
+        if view in leaf.views
+    ]
+    names = [
+        f"<span class=name data-of={k} data-seconds={leaf.seconds:.3f}{' hidden' if k else ''}>"
+        f"{escape(leaf.caption)}</span>"
+        for k, leaf in enumerate(leaves)
+    ]
+    buttons = [f"<button data-choose={view}>{escape(titles[view])}</button>" for view in views]
+    shown = [
+        f"<div data-of={view}{'' if view == first else ' hidden'}>{legends.get(view, '')}</div>"
+        for view in views
+    ]
+    return "\n".join([
+        f"<div class=flip><div class=row>{''.join(buttons)}</div>",
+        f"<div class=views>{''.join(pictures)}</div>{''.join(shown)}",
+        "<div class=row><button class=before aria-label='image before'>&larr;</button>",
+        f"<input type=range min=0 max={len(leaves) - 1} value=0 aria-label=image>",
+        "<button class=after aria-label='next image'>&rarr;</button></div>",
+        f"<p>{''.join(names)} <span class=note>{escape(note)}</span></p></div>",
+    ])  # fmt: skip
+
+
+def scripts(names: Iterable[str] = ()) -> str:
+    """What the page needs at its end: flipping, and further scripts of this folder."""
+    folder = Path(__file__).parent
+    texts = [(folder / name).read_text(encoding="utf-8") for name in ("flip.js", *names)]
+    return "".join(f"<script>{text}</script>" for text in texts)

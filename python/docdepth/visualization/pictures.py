@@ -39,6 +39,13 @@ TOO_FAR_COLOR = (245, 150, 60)
 
 BACKGROUND = 24
 _TICKS = (3, 5, 10, 20, 40, 80, 160, 320)
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_LENGTHS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)  # metres
+
+
+def round_length(most: float) -> int:
+    """A round number of metres below this, for the bar that shows the scale of a picture."""
+    return max((metres for metres in _LENGTHS if metres < most), default=1)
 
 
 def colors_of_classes(classid: NDArray[np.integer[Any]]) -> Picture:
@@ -94,16 +101,24 @@ def overlay(
         As for :func:`colorize`.
     """
     colors = colorize(depth, near, far, bar=False)
-    if image is not None:
-        if image.shape != colors.shape:
-            raise InputError(
-                f"the image {image.shape} and the depth map {depth.shape} differ in size"
-            )
-        gray = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
-        blended = cv2.addWeighted(colors, opacity, gray, 1 - opacity, 0)
-        darker = cv2.convertScaleAbs(gray, alpha=0.5)
-        colors = np.asarray(cv2.copyTo(darker, np.isnan(depth).astype(np.uint8), blended), np.uint8)
-    return draw_bar(colors, near, far)
+    if image is not None and image.shape != colors.shape:
+        raise InputError(f"the image {image.shape} and the depth map {depth.shape} differ in size")
+    return draw_bar(blended(colors, ~np.isnan(depth), image, opacity), near, far)
+
+
+def blended(
+    colors: Picture, known: NDArray[np.bool_], image: Picture | None, opacity: float
+) -> Picture:
+    """Colours over a grey image where something is known; elsewhere the image, dark.
+
+    Without an image the colours stand alone, on a dark ground.
+    """
+    if image is None:
+        return np.where(known[..., None], colors, np.uint8(BACKGROUND))
+    gray = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
+    mixed = cv2.addWeighted(colors, opacity, gray, 1 - opacity, 0)
+    darker = cv2.convertScaleAbs(gray, alpha=0.5)
+    return np.asarray(cv2.copyTo(mixed, known.astype(np.uint8), darker), np.uint8)
 
 
 def error_picture(
@@ -187,9 +202,8 @@ def labels_in_range_image(
     top = float(elevation.max(initial=0.0))
     spacing = max(2 * resolution_deg, 0.4)
     rows = np.floor((top - elevation) / spacing)
-    picture = np.full(
-        (int(rows.max(initial=0)) + 1, round(360 / resolution_deg), 3), BACKGROUND, np.uint8
-    )
+    shape = (int(rows.max(initial=0)) + 1, round(360 / resolution_deg), 3)
+    picture = np.full(shape, BACKGROUND, np.uint8)
     draw_classes(picture, rows, columns, classid, truth)
     return np.repeat(picture, row_height, axis=0)
 
@@ -208,7 +222,8 @@ def draw_bar(picture: Picture, near: float = NEAR, far: float = FAR) -> Picture:
         if near <= depth <= far:
             place = x + round((length - 1) * np.log(depth / near) / np.log(far / near))
             result[y - 3 : y, place] = 255
-            _text(result, f"{depth}" + " m" * (depth * 2 > far), (place - 4, y - 5), 0.38)
+            text, left = f"{depth}" + " m" * (depth * 2 > far), (place - 4, y - 5)
+            cv2.putText(result, text, left, _FONT, 0.38, (255, 255, 255), 1, cv2.LINE_AA)
     return result
 
 
@@ -245,8 +260,3 @@ def draw_classes(
     for chosen, color in layers:
         chosen = chosen & inside
         picture[rows[chosen].astype(np.int64), columns[chosen].astype(np.int64)] = color
-
-
-def _text(picture: Picture, text: str, place: tuple[int, int], size: float) -> None:
-    white = (255, 255, 255)
-    cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, white, 1, cv2.LINE_AA)

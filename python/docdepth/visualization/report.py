@@ -20,12 +20,9 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.parameter_table import parameter_table
-from docdepth.visualization import flip_book as flips
-from docdepth.visualization import report_map
-from docdepth.visualization.drive_map import drive_map
-from docdepth.visualization.flip_book import Leaf, flip_book, scripts
+from docdepth.visualization import drive_map
 from docdepth.visualization.image_views import CONFIDENCE_COLORS, DOUBTFUL, SEEN_COLORS
-from docdepth.visualization.page import head, scale, swatches, table
+from docdepth.visualization.page import FLIP_STYLE, flip_book, head, scale, scripts, swatches, table
 from docdepth.visualization.pictures import (
     BACKGROUND,
     DYNAMIC_COLOR,
@@ -44,8 +41,8 @@ HELD_OUT = "held_out.json"
 """File in a camera's folder of ``report/``: its errors against sweeps that were left out."""
 
 _STYLE = (
-    report_map.STYLE
-    + flips.STYLE
+    drive_map.STYLE
+    + FLIP_STYLE
     + """
 .warnings { border-left: 4px solid #d55e00; padding: .2em 1em; background: #fff4ec }
 .bar { display: flex; height: 1.1em; background: #eee; min-width: 160px; width: 30vw;
@@ -101,13 +98,13 @@ def write_report(run: RunFolder, streams: Mapping[str, CameraStream]) -> Path:
     """
     trajectory = run.trajectory()
     tracks = list(tracks_in(run.path).values())
-    cameras = [page for page in camera_pages(run, streams, tracks) if page.moments]
+    cameras = list(camera_pages(run, streams, tracks))
     parts = [
         head(f"docdepth: {run.path.resolve().name}", _STYLE),
         f"<p>{escape(_summary(run, trajectory, tracks, cameras))}</p>",
         _warnings(run),
         "<h2>The drive from above</h2>",
-        report_map.map_section(drive_map(run), trajectory, tracks),
+        drive_map.map_section(drive_map.drive_map(run), trajectory, tracks),
         *(_camera(run, page, trajectory) for page in cameras),
         "<h2>Time</h2>",
         _time(run),
@@ -186,8 +183,11 @@ def _warnings(run: RunFolder) -> str:
     found = [("inputs", text) for text in run.manifest.warnings]
     for name, stage in run.manifest.stages.items():
         found += [(name, text) for text in stage.warnings]
-        if stage.left_out:
-            found.append((name, f"images outside the sweeps, left out: {_few(stage.left_out)}"))
+        if left := stage.left_out:
+            few = (
+                ", ".join(left) if len(left) <= 10 else f"{len(left)} from {left[0]} to {left[-1]}"
+            )
+            found.append((name, f"images outside the sweeps, left out: {few}"))
     if (skipped := run.manifest.derived.skipped) is not None:
         found += [("left out", text) for text in skipped.sentences()]
     if not found:
@@ -196,68 +196,51 @@ def _warnings(run: RunFolder) -> str:
     return f"<div class=warnings>Warnings<ul>{''.join(lines)}</ul></div>"
 
 
-def _few(names: Sequence[str]) -> str:
-    return ", ".join(names) if len(names) <= 10 else f"{len(names)} from {names[0]} to {names[-1]}"
-
-
 def _camera(run: RunFolder, page: CameraPage, trajectory: Trajectory) -> str:
     """Images of a camera to flip between, its density and its held-out errors."""
-    start = int(trajectory.times[0])
-    leaves = []
-    for moment in page.moments:
-        seconds = (moment.time - start) * 1e-9
-        leaves.append(Leaf(f"image {moment.name} at {seconds:.1f} s", moment.views, seconds))
-    note = f"({len(leaves)} of {len(page.density)} images; keys: arrows and 1, 2, 3 ...)"
-    bare = not any("image" in moment.views for moment in page.moments)
-    no_images = (
-        "<p class=note>No photos of this camera are at hand, so classes are drawn on black.</p>"
-    )
+    note = f"({len(page.leaves)} of {len(page.density)} images; keys: arrows and 1, 2, 3 ...)"
+    bare = not any("image" in leaf.views for leaf in page.leaves)
+    no_photos = "No photos of this camera are at hand, so classes are drawn on black."
+    verdict = run.stage(f"render {page.name}").calibration
+    edges = f"<p>Depth edges against image edges: {escape(verdict)}.</p>" if verdict else ""
     return "\n".join([
-        f"<section class=camera><h2>Camera {escape(page.name)}</h2>{no_images if bare else ''}",
-        flip_book(leaves, _VIEWS, {view: _legend(view) for view in _VIEWS}, note),
-        _density(page.density, start),
-        _calibration(run, page.name),
+        f"<section class=camera><h2>Camera {escape(page.name)}</h2>"
+        + f"<p class=note>{no_photos}</p>" * bare,
+        flip_book(page.leaves, _VIEWS, _legends(), note),
+        _density(page.density, int(trajectory.times[0])),
+        edges,
         _held_out(run, page.name),
         "</section>",
     ])  # fmt: skip
 
 
-def _calibration(run: RunFolder, camera: str) -> str:
-    """What the edges of its images say of the extrinsic."""
-    verdict = run.stage(f"render {camera}").calibration
-    return f"<p>Depth edges against image edges: {escape(verdict)}.</p>" if verdict else ""
-
-
-def _legend(view: str) -> str:
+def _legends() -> dict[str, str]:
+    """What stands below the pictures of a view."""
     no_depth = swatches([([(BACKGROUND,) * 3], "no depth")])
-    if view == "depth":
-        colors = colorize(np.geomspace(NEAR, FAR, 24)[None], bar=False)[0]
-        span = np.log(FAR / NEAR)
-        ends = {NEAR: "\u2264 ", FAR: "\u2265 "}  # what is nearer or farther has the same colour
-        ticks = [(np.log(t / NEAR) / span, f"{ends.get(t, '')}{t} m") for t in _TICKS]
-        return scale(colors, ticks) + no_depth
-    if view == "class":
-        return swatches([
+    ends = {NEAR: "\u2264 ", FAR: "\u2265 "}  # what is nearer or farther has the same colour
+    span = np.log(FAR / NEAR)
+    ticks = [(np.log(t / NEAR) / span, f"{ends.get(t, '')}{t} m") for t in _TICKS]
+    depths = colorize(np.geomspace(NEAR, FAR, 24)[None], bar=False)[0]
+    middle = (1 + DOUBTFUL) / 2
+    marks = [(0.0, f"{DOUBTFUL:g} or less"), (0.5, f"{middle:g}"), (1.0, "1: depth is right")]
+    seen = ("no ray near this time", "a ray agrees", "a ray contradicts the depth")
+    return {
+        "depth": scale(depths, ticks) + no_depth,
+        "class": swatches([
             ([GROUND_COLOR], "ground"),
             ([STATIC_COLOR], "static"),
             ([DYNAMIC_COLOR], "moving"),
             (TRACK_COLORS, "boxes of moving objects, with their numbers"),
-        ])  # fmt: skip
-    if view == "confidence":
-        middle = (1 + DOUBTFUL) / 2
-        marks = [(0.0, f"{DOUBTFUL:g} or less"), (0.5, f"{middle:g}"), (1.0, "1: depth is right")]
-        return scale(CONFIDENCE_COLORS[::16], marks) + no_depth
-    if view == "seen":
-        meanings = ("no ray near this time", "a ray agrees", "a ray contradicts the depth")
-        return swatches(([color], text) for color, text in zip(SEEN_COLORS, meanings, strict=True))
-    if view == "instance":
-        return swatches([(TRACK_COLORS, "moving objects; dark: all that stands")])
-    return ""
+        ]),
+        "confidence": scale(CONFIDENCE_COLORS[::16], marks) + no_depth,
+        "seen": swatches([([color], text) for color, text in zip(SEEN_COLORS, seen, strict=True)]),
+        "instance": swatches([(TRACK_COLORS, "moving objects; dark: all that stands")]),
+    }  # fmt: skip
 
 
 def _density(density: Sequence[tuple[int, float]], start: int) -> str:
     """Share of pixels with depth over time, from 0 to 100 %."""
-    drawn = report_map.thinned(
+    drawn = drive_map.thinned(
         np.array([((t - start) * 1e-9, 100 - 100 * s) for t, s in density]), _DENSITIES
     )
     points = " ".join(f"{seconds:.3f},{missing:.2f}" for seconds, missing in drawn)

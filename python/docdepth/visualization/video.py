@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -18,7 +18,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import DESCRIPTION, described_maps, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
-from docdepth.visualization.image_views import box_corners, track_color, write_text
+from docdepth.visualization.image_views import box_corners, photo_of, track_color, write_text
 from docdepth.visualization.pictures import BACKGROUND, Picture, colorize, draw_classes
 
 _ABOVE = (1280, 960)  # width and height of the video from above [pixels]
@@ -62,28 +62,26 @@ def write_video(
         A depth map or an image is damaged.
     """
     depths = run.path / "depth" / folder
-    maps = maps_in(depths)
-    times = {name: time for name, (time, _) in described_maps(depths).items()}
-    names = sorted(times, key=times.__getitem__)
+    maps, known = maps_in(depths), described_maps(depths)
+    names = sorted(known, key=lambda name: known[name][0])
     missing = [name for name in names if name not in maps]
     if missing or not names:
         raise RunError(
             f"{depths} lacks {missing[0] if missing else 'all'} of its depth maps",
             f"make them: `docdepth.run(..., {str(run.path)!r})`",
         )
-    if fps is None:
-        pause = np.diff([times[name] for name in names]) * 1e-9
-        fps = float(1 / np.median(pause)) if len(pause) else 1.0
-    images = {name: k for k, name in enumerate(stream.names)} if stream else {}
 
     def frames() -> Iterator[Picture]:
         for name in names:
-            image = stream.rectified_image(images[name]) if stream and name in images else None
-            yield _frame(read_depth(maps[name]), image)
+            picture, photo = colorize(read_depth(maps[name])), photo_of(stream, name)
+            both = picture if photo is None else np.vstack([photo, picture])
+            # VP8 needs even sizes.
+            padding = (0, both.shape[0] % 2, 0, both.shape[1] % 2)
+            yield np.asarray(cv2.copyMakeBorder(both, *padding, cv2.BORDER_REPLICATE), np.uint8)
 
     key = {"render": run.recorded_key(depths / DESCRIPTION).get("render", "")}
-    path = run.path / "report" / folder / "video.webm"
-    return _write(run, path, frames(), len(names), fps, key, progress)
+    path, times = run.path / "report" / folder / "video.webm", [known[name][0] for name in names]
+    return _write(run, path, frames(), times, fps, key, progress)
 
 
 def write_video_from_above(
@@ -111,14 +109,11 @@ def write_video_from_above(
     RunError
         A frame is missing or not classified, or the video cannot be written.
     """
-    trajectory = run.trajectory()
-    if fps is None:
-        fps = float(1e9 / np.median(np.diff(trajectory.times))) if len(trajectory) > 1 else 1.0
-    tracks = tracks_in(run.path)
+    trajectory, tracks = run.trajectory(), tracks_in(run.path)
     frames = (sweep_from_above(run, trajectory, tracks, k) for k in range(len(trajectory)))
     key = {"classify": run.stage("classify").key or ""}
     path = run.path / "report" / "above.webm"
-    return _write(run, path, frames, len(trajectory), fps, key, progress)
+    return _write(run, path, frames, trajectory.times, fps, key, progress)
 
 
 def sweep_from_above(run: RunFolder, trajectory: Trajectory, tracks: Tracks, index: int) -> Picture:
@@ -127,10 +122,9 @@ def sweep_from_above(run: RunFolder, trajectory: Trajectory, tracks: Tracks, ind
     pose, time = trajectory.poses[index], int(trajectory.times[index])
     middle, scale = pose[:2, 3], _ABOVE[0] / (2 * _REACH)
 
-    def pixels(places: NDArray[np.floating]) -> NDArray[np.int64]:
-        return np.rint((places[:, :2] - middle) * (scale, -scale) + np.array(_ABOVE) / 2).astype(
-            int
-        )
+    def pixels(places: NDArray[np.floating]) -> NDArray[np.int32]:
+        across = (places[:, :2] - middle) * (scale, -scale) + np.array(_ABOVE) / 2
+        return np.rint(across).astype(np.int32)
 
     finite = np.isfinite(record.points).all(axis=1)
     columns, rows = pixels(record.points[finite] @ pose[:3, :3].T + pose[:3, 3]).T
@@ -139,12 +133,12 @@ def sweep_from_above(run: RunFolder, trajectory: Trajectory, tracks: Tracks, ind
     for track in tracks.between(time, time):
         color = track_color(track.id)
         past = track.poses[(track.times <= time) & (track.times > time - _PAST)][:, :3, 3]
-        cv2.polylines(picture, [pixels(past).astype(np.int32)], False, color, 1, cv2.LINE_AA)
+        cv2.polylines(picture, [pixels(past)], False, color, 1, cv2.LINE_AA)
         T = track.pose_at(time)
         corners = pixels(box_corners(track)[:4] @ T[:3, :3].T + T[:3, 3])
-        cv2.polylines(picture, [corners.astype(np.int32)], True, color, 2, cv2.LINE_AA)
-        front = corners[:2].astype(np.int32)
-        cv2.line(picture, front[0].tolist(), front[1].tolist(), (255, 255, 255), 2, cv2.LINE_AA)
+        cv2.polylines(picture, [corners], True, color, 2, cv2.LINE_AA)
+        left, right = corners[:2].tolist()
+        cv2.line(picture, left, right, (255, 255, 255), 2, cv2.LINE_AA)
         write_text(picture, str(track.id), tuple(corners.max(axis=0).tolist()), color)
     start, end = pixels(np.array([pose[:3, 3], pose[:3, 3] + 3 * pose[:3, 0]])).tolist()
     cv2.arrowedLine(picture, start, end, (255, 255, 255), 2, cv2.LINE_AA, tipLength=0.4)
@@ -160,29 +154,31 @@ def _write(
     run: RunFolder,
     path: Path,
     frames: Iterable[Picture],
-    count: int,
-    fps: float,
+    times: Sequence[int] | NDArray[np.int64],
+    fps: float | None,
     key: dict[str, str],
     progress: Progress | None,
 ) -> Path:
-    """Encode frames to a video of a run."""
+    """Encode frames, one for each time [ns], to a video of a run."""
+    if fps is None:
+        fps = float(1e9 / np.median(np.diff(times))) if len(times) > 1 else 1.0
     part = path.with_name(f".{path.stem}.part.webm")
     path.parent.mkdir(parents=True, exist_ok=True)
     writer: cv2.VideoWriter | None = None
     # OpenCV opens no path that is not UTF-8, so it gets the folder as a number.
     opened = os.open(path.parent, os.O_RDONLY)
-    named = Path(f"/proc/self/fd/{opened}") / part.name
+    named = f"/proc/self/fd/{opened}/{part.name}"
     try:
         for done, frame in enumerate(frames):
-            if writer is None:
-                writer = _writer(named, fps, frame)
+            writer = writer or _writer(named, fps, frame)
             writer.write(frame)
             if progress:
-                progress("video", done + 1, count)
+                progress("video", done + 1, len(times))
         if writer is not None:
             writer.release()
-        if _frames(named) != count:  # OpenCV does not report errors
-            raise RunError(
+        written = cv2.VideoCapture(named) if part.is_file() else None
+        if written is None or written.get(cv2.CAP_PROP_FRAME_COUNT) != len(times):
+            raise RunError(  # OpenCV does not report errors
                 f"cannot write {path}: OpenCV stopped early; make room on the disk and try again"
             )
         with run.lock("video"):
@@ -193,31 +189,14 @@ def _write(
     return path
 
 
-def _writer(path: Path, fps: float, frame: NDArray[np.uint8]) -> cv2.VideoWriter:
+def _writer(path: str, fps: float, frame: Picture) -> cv2.VideoWriter:
     code = cv2.VideoWriter.fourcc(*"VP80")
     # OpenCV prints a warning about WebM's codec tags to standard error, though it writes the file.
     stderr, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(null, 2)
-        return cv2.VideoWriter(str(path), code, fps, (frame.shape[1], frame.shape[0]))
+        return cv2.VideoWriter(path, code, fps, (frame.shape[1], frame.shape[0]))
     finally:
         os.dup2(stderr, 2)
         os.close(stderr)
         os.close(null)
-
-
-def _frame(depth: NDArray[np.float32], image: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
-    colours = colorize(depth)
-    both = colours if image is None else np.vstack([image, colours])
-    # VP8 needs even sizes.
-    padding = (0, both.shape[0] % 2, 0, both.shape[1] % 2)
-    return np.asarray(cv2.copyMakeBorder(both, *padding, cv2.BORDER_REPLICATE), np.uint8)
-
-
-def _frames(path: Path) -> int:
-    if not path.is_file():
-        return 0
-    reader = cv2.VideoCapture(str(path))
-    count = int(reader.get(cv2.CAP_PROP_FRAME_COUNT))
-    reader.release()
-    return count
