@@ -13,11 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from docdepth.synthetic.actors import Actor, Pace, Path, rounded
+from docdepth.synthetic.actors import Actor, Pace, Path
 from docdepth.synthetic.mesh import Mesh, merged
 from docdepth.synthetic.road import Floats, Road
 from docdepth.synthetic.street import Street, waves
 from docdepth.synthetic.urban_street import add_furniture, add_houses, away_from, blocks, urban_road
+from scenes.moving import arrive, rounded
 
 TILE = 600.0
 """The road repeats its bends and hills after this length [m]."""
@@ -157,7 +158,7 @@ class EndlessStreet:
             arrives = rounded(
                 [(s + 105.0, LANE), (s + 24.0, LANE), (s + 18.5, 4.5), (s + 15.0, 4.5)], 3.0
             )
-            street.arrive("car", arrives, 7.0, then - 2.0)
+            arrive(street, "car", arrives, 7.0, then - 2.0)
             seen += 2 * [(_APART / 7, _APART / 7)]
         if piece % 4 == 1:
             meets("cyclist", start, -3.05, 4.6)

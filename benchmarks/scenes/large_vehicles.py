@@ -1,13 +1,15 @@
-"""Meshes of buses and trailers: x forward, z up, origin on the ground below the centre."""
+"""Meshes of lorries, buses and trailers: x forward, z up, origin on the ground below the centre."""
 
 from __future__ import annotations
 
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from docdepth.synthetic.actors import Part, sliding
+from docdepth.synthetic.actors import Part, Swing
 from docdepth.synthetic.mesh import Colour, Mesh, Paint, box, merged
+from docdepth.synthetic.road import Floats
 from docdepth.synthetic.road_users import CAR_COLOURS, plates_and_lamps, wheels
 
 Rng = np.random.Generator
@@ -57,6 +59,38 @@ def bus(rng: Rng, opens: float = np.inf, closes: float = np.inf, label: int = 13
     return result
 
 
+def sliding(to: ArrayLike, opens: float, closes: float, seconds: float = 1.5) -> Swing:
+    """A door that slides by ``to`` (x, y, z) [m] from ``opens`` on, and back from ``closes`` on."""
+    shift = np.asarray(to, np.float64)
+
+    def swing(times: Floats, distance: Floats, speed: Floats) -> Floats:
+        share = np.clip((times - opens) / seconds, 0.0, 1.0)
+        share = share - np.clip((times - closes) / seconds, 0.0, 1.0)
+        poses = np.repeat(np.eye(4)[None], len(share), axis=0)
+        poses[:, :3, 3] = share[:, None] * shift
+        return poses
+
+    return swing
+
+
+def truck(rng: Rng, label: int = 18) -> Mesh:
+    """A lorry with a box body, 3.6 m high, open between its axles."""
+    colour, reflectivity = CAR_COLOURS[rng.integers(len(CAR_COLOURS))]
+    length = 9.0
+    half = 0.5 * length
+    cab = Paint(label, colour, reflectivity)
+    load = Paint(label, (0.82, 0.80, 0.74), 0.55)
+    parts = [
+        box((length - 2.3, 2.5, 2.55), (-1.15, 0, 2.35), load),
+        box((2.0, 2.4, 2.3), (half - 1.0, 0, 1.75), cab),
+        box((0.04, 2.1, 0.8), (half, 0, 2.3), Paint(label, (0.13, 0.16, 0.18), 0.03)),
+        box((length - 1.0, 0.9, 0.25), (-0.2, 0, 0.85), Paint(label, (0.1, 0.1, 0.1), 0.1)),
+        wheels(label, (-half + 1.2, -half + 2.5, half - 1.3), 2.45, 0.5),
+        plates_and_lamps(label, length, 2.4, 0.8),
+    ]
+    return merged(parts)
+
+
 def trailer(rng: Rng, label: int = 20) -> Mesh:
     """A car's trailer with a box, 2.6 m long without its drawbar, 1.9 m high."""
     load = Paint(label, (0.55, 0.58, 0.6), float(rng.uniform(0.2, 0.5)))
@@ -83,6 +117,7 @@ def lorry_trailer(label: int = 18) -> Mesh:
 
 
 LARGE_VEHICLES = {
+    "truck": (lambda rng: [Part(truck(rng))], 18, 258, 5.5, 2.1),
     "bus": (bus, 13, 257, 5.8, 2.1),
     "trailer": (lambda rng: [Part(trailer(rng, 20))], 20, 259, 2.0, 1.6),
     "lorry trailer": (lambda rng: [Part(lorry_trailer(18))], 18, 258, 4.6, 2.1),

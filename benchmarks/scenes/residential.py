@@ -6,11 +6,12 @@ from functools import partial
 
 import numpy as np
 
-from docdepth.synthetic import houses, road_users, roadside
+from docdepth.synthetic import road_users, roadside
 from docdepth.synthetic.actors import Pace, Path
 from docdepth.synthetic.road import Floats
-from docdepth.synthetic.street import Scene, Street, generator
+from docdepth.synthetic.street import Ground, Scene, Street, generator
 from docdepth.synthetic.urban_street import away_from, urban_road
+from scenes import things
 
 
 def residential(seed: int) -> Scene:
@@ -20,7 +21,7 @@ def residential(seed: int) -> Scene:
     junctions = [(60.0, 3.2)]
     bend = ((0.16, 260.0, rng.uniform(0, 6.3)), (0.05, 110.0, rng.uniform(0, 6.3)))
     hills = ((1.4, 190.0, rng.uniform(0, 6.3)), (0.3, 60.0, rng.uniform(0, 6.3)))
-    road = urban_road(start, end, bend, hills, kerb, walk, junctions, yard=3)
+    road = urban_road(start, end, bend, hills, kerb, walk, junctions, yard=Ground.GRASS)
     street = Street(road, rng)
     for side in (-1.0, 1.0):
         _gardens(street, away_from(np.arange(start + 8, end - 8, 19.0), junctions, 9.0), side, walk)
@@ -62,7 +63,7 @@ def residential(seed: int) -> Scene:
         street.walk(s, d, speed)
     street.send("pedestrian", [(52.0, -5.5), (52.0, 5.5)], Pace(0.9, departure=0.5))
     street.send("pedestrian", [(41.5, 4.9), (43.0, 2.0), (50.0, 1.9)], Pace(1.0))
-    ego = Path(road, np.array([(0.0, -1.6), (60.0, -1.6)]), Pace(6.0, wave=0.1))
+    ego = Path(road, [(0.0, -1.6), (60.0, -1.6)], Pace(6.0, wave=0.1))
     return street.scene("residential", seed, ego, 28.0)
 
 
@@ -71,21 +72,21 @@ def _gardens(street: Street, spots: Floats, side: float, walk: float) -> None:
     for s in spots:
         setback = float(rng.uniform(4.5, 7.0))
         length, depth = float(rng.uniform(8.5, 11.5)), float(rng.uniform(7.5, 9.5))
-        house = houses.building(rng, length, depth, float(rng.uniform(3.2, 6.2)), gable=True)
+        house = things.cottage(rng, length, depth, float(rng.uniform(3.2, 6.2)))
         street.put(house, s, side * (walk + setback + 0.5 * depth), yaw, above=-0.05)
         border, width = rng.random(), 7.0
         for shift in (-5.6, 5.0):
             if border < 0.45:
                 height = float(rng.uniform(0.9, 1.9))
-                thing = roadside.hedge(rng, width, height)
+                thing = things.hedge(rng, width, height)
             elif border < 0.8:
-                thing = roadside.fence(width, float(rng.uniform(0.9, 1.3)))
+                thing = things.fence(width, float(rng.uniform(0.9, 1.3)))
             else:
                 continue
             street.put(thing, s + shift, side * (walk + 0.6), yaw)
         for _ in range(rng.integers(1, 4)):
             at = side * (walk + float(rng.uniform(1.8, setback - 0.5)))
-            street.put(roadside.bush(rng, float(rng.uniform(0.4, 1.0))), s + rng.uniform(-6, 6), at)
+            street.put(things.bush(rng, float(rng.uniform(0.4, 1.0))), s + rng.uniform(-6, 6), at)
         if rng.random() < 0.6:
             tall = float(rng.uniform(4.0, 8.0))
             street.put(roadside.tree(rng, tall), s + 9.3, side * (walk + float(rng.uniform(2, 5))))

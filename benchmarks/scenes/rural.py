@@ -6,11 +6,12 @@ from functools import partial
 
 import numpy as np
 
-from docdepth.synthetic import houses, road_users, roadside
+from docdepth.synthetic import road_users, roadside
 from docdepth.synthetic.actors import Pace, Path
 from docdepth.synthetic.mesh import Mesh, Paint, box, merged
 from docdepth.synthetic.road import Floats, Road
 from docdepth.synthetic.street import PAINTS, Scene, Street, bumps, generator, waves
+from scenes import things
 
 Kinds = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
 
@@ -74,11 +75,11 @@ def highway_roadside(street: Street, start: float, end: float) -> None:
     """Guard rails, a noise barrier, plants, markers and signs."""
     rng = street.rng
     for s in np.arange(start + 6, end - 6, 12.0):
-        street.put(roadside.guard_rail(12.0), s, 0.35)
-        street.put(roadside.guard_rail(12.0), s, -0.35, np.pi)
-        street.put(roadside.guard_rail(12.0), s, -14.9)
+        street.put(things.guard_rail(12.0), s, 0.35)
+        street.put(things.guard_rail(12.0), s, -0.35, np.pi)
+        street.put(things.guard_rail(12.0), s, -14.9)
         if s < 90.0 or s > 200.0:
-            street.put(roadside.guard_rail(12.0), s, 14.9, np.pi)
+            street.put(things.guard_rail(12.0), s, 14.9, np.pi)
     wall = Paint(50, (0.52, 0.50, 0.44), 0.35)
     for s in np.arange(90.0, 202.0, 4.0):
         street.put(box((4.0, 0.2, 4.2), (0, 0, 1.6), wall), s, 16.4)
@@ -87,7 +88,7 @@ def highway_roadside(street: Street, start: float, end: float) -> None:
         spots = np.arange(start, end, 11.0)
         street.row(lambda: roadside.tree(rng, float(rng.uniform(5, 10))), spots, side * d, 0.5, 3.0)
         street.row(
-            lambda: roadside.bush(rng, float(rng.uniform(0.6, 1.5))),
+            lambda: things.bush(rng, float(rng.uniform(0.6, 1.5))),
             spots + 5,
             side * (d - 3.5),
             0.6,
@@ -205,7 +206,7 @@ def hills(seed: int) -> Scene:
     street = Street(road, rng)
     _country_roadside(street, start, end)
     for s, d, yaw in ((40.0, 18.0, 0.2), (130.0, -17.0, 2.9), (215.0, 16.5, 0.0)):
-        street.put(houses.building(rng, 12.0, 8.5, 4.5, gable=True), s, d, yaw)
+        street.put(things.cottage(rng, 12.0, 8.5, 4.5), s, d, yaw)
     street.park(road_users.car(rng), 66.0, -5.0)
     street.send("car", [(30.0, -1.7), (100.0, -1.7)], Pace(12.5, wave=0.05))
     for s, kind, speed in (
@@ -241,7 +242,7 @@ def _country_roadside(street: Street, start: float, end: float) -> None:
             lambda: roadside.tree(rng, float(rng.uniform(6, 12))), spots, side * 17.0, 0.35, 3
         )
         street.row(
-            lambda: roadside.bush(rng, float(rng.uniform(0.5, 1.4))),
+            lambda: things.bush(rng, float(rng.uniform(0.5, 1.4))),
             spots + 4,
             side * 6.8,
             0.4,
@@ -265,6 +266,6 @@ def _country_roadside(street: Street, start: float, end: float) -> None:
     for s in np.arange(start + 5, end, 5.0):
         part = int((s - start) // 40) % 4
         if part == 1:
-            street.put(roadside.hedge(rng, 5.0, 1.6, 1.0), s, 7.4)
+            street.put(things.hedge(rng, 5.0, 1.6, 1.0), s, 7.4)
         if part in (0, 2):
-            street.put(roadside.fence(5.0, 1.2), s, 6.3 if part == 2 else -6.3)
+            street.put(things.fence(5.0, 1.2), s, 6.3 if part == 2 else -6.3)

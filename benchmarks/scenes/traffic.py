@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from docdepth.synthetic import road_users, roadside
-from docdepth.synthetic.actors import Pace, Path, Speeds, rounded
+from docdepth.synthetic.actors import Pace, Path
 from docdepth.synthetic.street import Scene, Street, generator
 from docdepth.synthetic.urban_street import add_furniture, add_houses, away_from, blocks, urban_road
+from scenes import things
 from scenes.large_vehicles import bus
+from scenes.moving import Speeds, arrive, rounded
 from scenes.rural import highway_road, highway_roadside
 
 # Centre of a lane, from the centre line [m].
@@ -78,7 +80,7 @@ def _arrivals_along_the_kerb(
             points = rounded([*lane, (s + side * 3.5, side * 4.5), (s, side * 4.5)], 3.0)
             kind = "van" if (side, number) == (-1.0, 7) else "car"
             stop += float(rng.uniform(-0.4, 0.4))
-            street.arrive(kind, points, float(rng.uniform(6.5, 8.0)), stop)
+            arrive(street, kind, points, float(rng.uniform(6.5, 8.0)), stop)
     s = first[1.0] + _LEAVES * _PLACE
     street.send(
         "car",
@@ -90,7 +92,7 @@ def _arrivals_along_the_kerb(
     s = 76.0 + float(rng.uniform(-3, 3))
     for kind, at, stop in (("van", s, 5.5), ("car", s + 8.0, 7.5)):
         line = [(at + 90.0, _LANE), (at, _LANE + 0.5)]
-        street.arrive(kind, line, 8.0, stop, name="stands beside parked cars")
+        arrive(street, kind, line, 8.0, stop, name="stands beside parked cars")
 
 
 def _arrivals_in_the_car_park(street: Street) -> None:
@@ -107,7 +109,7 @@ def _arrivals_in_the_car_park(street: Street) -> None:
         points = rounded([*corners, (stalls[free], d)], 3.5)
         name = f"arrives in row {row} of the car park"
         stop = (4.4, 11.4)[row - 1] + float(rng.uniform(-0.4, 0.4))
-        street.arrive("car", points, 5.0, stop, 1.5, name)
+        arrive(street, "car", points, 5.0, stop, 1.5, name)
 
 
 def _people_among_things(street: Street, place: float) -> None:
@@ -119,8 +121,8 @@ def _people_among_things(street: Street, place: float) -> None:
         if k % 2:
             street.put(roadside.refuse_bin(rng), s, line)
         else:
-            street.put(roadside.bush(rng, float(rng.uniform(0.6, 0.9))), s, line - 0.4)
-        street.put(roadside.bush(rng, float(rng.uniform(0.5, 0.8))), s + 1.5, line - 2.3)
+            street.put(things.bush(rng, float(rng.uniform(0.6, 0.9))), s, line - 0.4)
+        street.put(things.bush(rng, float(rng.uniform(0.5, 0.8))), s + 1.5, line - 2.3)
     brushing = line + 0.3 + half + 0.02  # beside the bins, which are 0.6 m wide
     for name, s, d, speed in (
         ("brushes bins", 14.0, brushing, 1.2),
@@ -133,7 +135,7 @@ def _people_among_things(street: Street, place: float) -> None:
         street.send("pedestrian", [(s, d), (s + step, d)], pace, name=name)
     s = place + 7.5 * _PLACE  # between two parked cars
     points = [(s, 12.0), (s, road_side), (s - 3.5, road_side)]
-    street.arrive("pedestrian", points, 1.2, 9.0, 1.0, name="stops beside a parked car")
+    arrive(street, "pedestrian", points, 1.2, 9.0, 1.0, name="stops beside a parked car")
 
 
 def overtaking(seed: int) -> Scene:
@@ -275,7 +277,7 @@ def _people_between(street: Street, pace: Speeds) -> None:
         street.send("pedestrian", points, Pace(speed), start, name="crosses in the queue")
     for s, d, stop in ((16.6, -7.3, 5.8), (11.9, -7.4, 6.6)):
         points = [(s + 7.0, d - 1.5), (s + 1.5, d - 0.4), (s, d)]
-        street.arrive("pedestrian", points, 1.2, stop, 1.0, name="comes to the bus")
+        arrive(street, "pedestrian", points, 1.2, stop, 1.0, name="comes to the bus")
     for s, d, speed in ((6.0, -9.2, 1.25), (14.0, 9.4, -1.1), (30.0, -10.2, -1.2)):
         street.walk(s, d + float(rng.normal(0, 0.1)), speed)
     stands = Pace(1.0, departure=99.0)

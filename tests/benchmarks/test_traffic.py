@@ -8,10 +8,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 from scenes.large_vehicles import bus
+from scenes.moving import Speeds, rounded
 
 from docdepth import synthetic
-from docdepth.synthetic import Drive, Speeds
-from docdepth.synthetic.actors import rounded
+from docdepth.synthetic import Drive
 
 pytestmark = pytest.mark.slow
 
@@ -59,9 +59,8 @@ def test_nothing_drives_through_anything_that_moves(name, seed):
 def test_nothing_drives_through_what_stands(name):
     drive = drive_of(name, SEEDS[0])
     mesh, into = drive.scene.static, np.linalg.inv(drive.T_scene_world)
-    things = ~np.isin(
-        mesh.labels & 0xFFFF, (40, 44, 48, 49, 60, 70, 72)
-    )  # all but ground and leaves
+    ground_and_leaves = (40, 44, 48, 49, 60, 70, 72)
+    things = ~np.isin(mesh.surface["label"] & 0xFFFF, ground_and_leaves)
     at = np.unique(mesh.faces[things])
     vertices = mesh.vertices[at] @ into[:3, :3].T + into[:3, 3]
     for track in drive.tracks():

@@ -24,12 +24,12 @@ SWEEPS = 20
 @pytest.fixture(scope="module")
 def drives():
     """The same drive as it was measured, and motion compensated."""
-    from docdepth.synthetic import Drive, scene, sensor, sweeps_of
+    from docdepth.synthetic import Drive, scene, sensor
 
     made = {}
     for skew in (False, True):
         drive = Drive(scene("city", 3), sensor("XT-32"), SWEEPS, 3, skew)
-        made[skew] = drive, sweeps_of(drive)
+        made[skew] = drive, [drive.sweep(k) for k in range(len(drive))]
     return made
 
 

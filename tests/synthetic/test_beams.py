@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plain_scene import plain_scene
 
 from docdepth import synthetic
 from docdepth.datasets import open_dataset
@@ -34,7 +35,7 @@ def sweep_of_plate(gap, **changes):
     sensor = replace(synthetic.sensor("OS1-128"), pattern=dense, noise=0.0, reach=1e6, **changes)
     thin = box((0.01, 1.0, 0.8), (FRONT + 0.005, 0.0, HEIGHT), PLATE)
     wall = box((1.0, 60.0, 40.0), (FRONT + gap + 0.5, 0.0, 0.0), WALL)
-    return Drive(synthetic.plain_scene([thin, wall]), sensor, 2).sweep(0)
+    return Drive(plain_scene([thin, wall]), sensor, 2).sweep(0)
 
 
 def range_and_paint(direction, gap):

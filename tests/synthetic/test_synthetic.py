@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import scenes  # noqa: F401  adds its scenes
 import yaml
+from plain_scene import level_road, plain_scene
 
 from docdepth import synthetic
 from docdepth.errors import InputError, MissingExtraError
@@ -31,7 +32,7 @@ def perfect(name="HDL-64", **changes):
 
 def moving_box(speed, departure=-np.inf):
     """A box of 4 x 2 x 1.5 m, 0.3 m above the ground, along y = 5 from x = 10."""
-    road = synthetic.level_road()
+    road = level_road()
     path = Path(road, np.array([(10.0, 5.0), (11.0, 5.0)]), Pace(speed, departure=departure))
     return Actor("box", [Part(box((4, 2, 1.5), (0, 0, 1.05), CAR))], path, 10, 252)
 
@@ -52,7 +53,7 @@ def to_world(points, poses):
 def test_standing_sensor_measures_plane_and_box_exactly(name):
     sensor = perfect(name)
     wall = box((1.0, 30.0, 12.0), (20.0, 0.0, 6.0), WALL)
-    drive = Drive(synthetic.plain_scene([wall]), sensor, 2)
+    drive = Drive(plain_scene([wall]), sensor, 2)
     sweep, pattern = drive.sweep(1), sensor.pattern(1)
     directions = pattern.directions
     with np.errstate(divide="ignore"):
@@ -82,7 +83,7 @@ def test_standing_sensor_measures_plane_and_box_exactly(name):
 
 def test_compensated_static_points_lie_on_the_geometry_while_the_ego_drives():
     wall = box((40.0, 1.0, 8.0), (15.0, 8.0, 4.0), WALL)
-    drive = Drive(synthetic.plain_scene([wall], speed=15.0), perfect(), 6)
+    drive = Drive(plain_scene([wall], speed=15.0), perfect(), 6)
     for k in (0, 3, 5):
         sweep = drive.sweep(k)
         pose = drive.T_scene_world @ drive.poses[k]
@@ -114,7 +115,7 @@ def test_skewed_points_deskewed_with_the_exact_motion_are_the_compensated_ones()
 
 
 def test_moving_objects_are_hit_at_their_pose_at_the_time_of_each_ray():
-    drive = Drive(synthetic.plain_scene(actors=[moving_box(12.0)], speed=7.0), perfect(), 5)
+    drive = Drive(plain_scene(actors=[moving_box(12.0)], speed=7.0), perfect(), 5)
     sweep = drive.sweep(3)
     mine = sweep.labels == (1 << 16 | 252)
     assert mine.sum() > 500
@@ -131,7 +132,7 @@ def test_moving_objects_are_hit_at_their_pose_at_the_time_of_each_ray():
 
 
 def test_a_car_that_departs_later_has_the_moving_class_in_all_sweeps():
-    scene = synthetic.plain_scene(actors=[moving_box(5.0, departure=0.6)])
+    scene = plain_scene(actors=[moving_box(5.0, departure=0.6)])
     drive = Drive(scene, perfect("XT-32"), 20)
     early, late = drive.sweep(1), drive.sweep(15)
     assert early.moving.any()
@@ -145,7 +146,7 @@ def test_a_car_that_departs_later_has_the_moving_class_in_all_sweeps():
 def test_noise_and_dropout_are_those_of_the_sensor():
     sensor = replace(synthetic.sensor("OS1-128"), max_range=60.0)
     wall = box((1.0, 60.0, 30.0), (15.0, 0.0, 10.0), Paint(50, (0.5, 0.5, 0.5), 0.4))
-    scene = synthetic.plain_scene([wall])
+    scene = plain_scene([wall])
     sweep = Drive(scene, sensor, 2).sweep(0)
     on_wall = sweep.points[sweep.labels == 50].astype(np.float64)
     along = np.linalg.norm(on_wall, axis=1)
@@ -161,7 +162,7 @@ def test_noise_and_dropout_are_those_of_the_sensor():
 
 def test_camera_depth_of_plane_and_box():
     wall = box((2.0, 6.0, 3.0), (31.0, 0.0, 1.5), WALL)
-    drive = Drive(synthetic.plain_scene([wall]), perfect(), 2)
+    drive = Drive(plain_scene([wall]), perfect(), 2)
     camera = Camera(np.array([(300.0, 0, 200.0), (0, 310.0, 80.0), (0, 0, 1.0)]), 401, 161)
     T_world_camera = np.eye(4)
     T_world_camera[:3, :3] = np.array([(0, 0, 1.0), (-1.0, 0, 0), (0, -1.0, 0)])
@@ -179,7 +180,7 @@ def test_camera_depth_of_plane_and_box():
 
 
 def test_image_between_sweeps_shows_moving_objects_at_its_own_time():
-    drive = Drive(synthetic.plain_scene(actors=[moving_box(-8.0 * -1)]), perfect(), 4)
+    drive = Drive(plain_scene(actors=[moving_box(-8.0 * -1)]), perfect(), 4)
     view, camera = drive.image(2), drive.rig.camera
     assert drive.times[2] < drive.camera_times[2] < drive.times[3]
     assert len(drive.camera_times) == 3
@@ -323,8 +324,8 @@ def test_mistakes_give_clear_errors(monkeypatch):
     with pytest.raises(InputError, match="unknown sensor 'sonar'"):
         synthetic.sensor("sonar")
     with pytest.raises(InputError, match="long enough for 2 to"):
-        Drive(synthetic.plain_scene(), perfect(), 10_000)
+        Drive(plain_scene(), perfect(), 10_000)
     monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
     with pytest.raises(MissingExtraError, match=r"docdepth\[synth\]"):
-        Drive(synthetic.plain_scene(), perfect(), 2)
+        Drive(plain_scene(), perfect(), 2)
     assert pose_of(1.0, 2.0, 3.0).shape == (4, 4)

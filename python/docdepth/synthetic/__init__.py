@@ -1,12 +1,12 @@
 """Synthetic drives with exact ground truth: scenes, LiDAR models and a camera."""
 
-from docdepth.synthetic.actors import Actor, Pace, Part, Path, Speeds, Standing
-from docdepth.synthetic.drive import Drive, TrueSweep, kitti_rig, sweeps_of
+from docdepth.synthetic.actors import Actor, Pace, Part, Path
+from docdepth.synthetic.drive import Drive, TrueSweep, kitti_rig
 from docdepth.synthetic.mesh import Mesh, Paint, box, pose_of
 from docdepth.synthetic.photo import View
 from docdepth.synthetic.scenes import SCENES, scene
 from docdepth.synthetic.sensors import Sensor, sensor, sensors
-from docdepth.synthetic.street import Scene, level_road, plain_scene
+from docdepth.synthetic.street import Scene
 from docdepth.synthetic.writer import write_drive
 
 __all__ = [
@@ -20,18 +20,13 @@ __all__ = [
     "Path",
     "Scene",
     "Sensor",
-    "Speeds",
-    "Standing",
     "TrueSweep",
     "View",
     "box",
     "kitti_rig",
-    "level_road",
-    "plain_scene",
     "pose_of",
     "scene",
     "sensor",
     "sensors",
-    "sweeps_of",
     "write_drive",
 ]

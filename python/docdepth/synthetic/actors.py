@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -62,52 +63,15 @@ class Pace:
 
 
 @dataclass(frozen=True)
-class Speeds:
-    """Speed profile by knots: speed changes linearly between them and is constant outside.
-
-    Attributes
-    ----------
-    times : sequence of float
-        Increasing [s].
-    speeds : sequence of float
-        Speed at each of these times [m/s].
-    """
-
-    times: Sequence[float]
-    speeds: Sequence[float]
-
-    def _covered(self, t: Floats) -> Floats:
-        knots, speeds = np.asarray(self.times, np.float64), np.asarray(self.speeds, np.float64)
-        steps = 0.5 * (speeds[1:] + speeds[:-1]) * np.diff(knots)
-        before = np.concatenate([[0.0], np.cumsum(steps)])
-        piece = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(knots) - 1)
-        since = t - knots[piece]
-        # Outside the knots np.interp is constant, so this trapezoid is exact everywhere.
-        result: Floats = before[piece] + 0.5 * (speeds[piece] + self.at(t)) * since
-        return result
-
-    def distance(self, times: ArrayLike) -> Floats:
-        """Distance travelled since time 0 by ``times`` [s], metres."""
-        return self._covered(np.asarray(times, np.float64)) - self._covered(np.zeros(()))
-
-    def at(self, times: ArrayLike) -> Floats:
-        """Speed at ``times`` [s], m/s."""
-        return np.interp(np.asarray(times, np.float64), self.times, self.speeds)
-
-    def later(self, seconds: float) -> Speeds:
-        """The same profile, ``seconds`` later."""
-        return Speeds([time + seconds for time in self.times], self.speeds)
-
-
-@dataclass(frozen=True)
 class Path:
     """A polyline of points (s, d) on the road, travelled with a speed profile.
 
     Attributes
     ----------
     road : Road
-    points : ndarray of float64, shape (k, 2)
-    pace : Pace or Speeds
+    points : array_like, shape (k, 2)
+    pace : Pace
+        Or what has its ``distance`` and ``at``.
     start : float
         Position along the path at which the distance of ``pace`` is 0 [m].
     length, width : float
@@ -116,8 +80,8 @@ class Path:
     """
 
     road: Road
-    points: Floats
-    pace: Pace | Speeds
+    points: ArrayLike
+    pace: Pace
     start: float = 0.0
     length: float = 2.6
     width: float = 1.5
@@ -130,8 +94,7 @@ class Path:
         knots = np.concatenate([[0.0], np.cumsum(length)])
         piece = np.clip(np.searchsorted(knots, distance, side="right") - 1, 0, len(step) - 1)
         share = (distance - knots[piece]) / length[piece]
-        result: Floats = points[piece] + share[..., None] * step[piece]
-        return result
+        return points[piece] + share[..., None] * step[piece]
 
     def distance(self, times: ArrayLike) -> Floats:
         """Position along the path at ``times`` [s], metres."""
@@ -152,19 +115,6 @@ class Path:
 
 
 @dataclass(frozen=True)
-class Standing:
-    """A fixed pose instead of a path."""
-
-    pose: Floats
-
-    def poses(self, times: ArrayLike) -> Floats:
-        return np.repeat(self.pose[None], len(np.atleast_1d(times)), axis=0)
-
-    def distance(self, times: ArrayLike) -> Floats:
-        return np.zeros(np.shape(np.atleast_1d(times)))
-
-
-@dataclass(frozen=True)
 class Part:
     """A rigid part of an actor; ``swing`` gives its poses (n, 4, 4) from time, distance, speed."""
 
@@ -180,7 +130,7 @@ class Actor:
     ----------
     name : str
     parts : sequence of Part
-    path : Path or Standing
+    path : Path
     label : int
         SemanticKITTI class if it never moves during the drive.
     moving_label : int
@@ -189,14 +139,14 @@ class Actor:
 
     name: str
     parts: Sequence[Part]
-    path: Path | Standing
+    path: Path
     label: int
     moving_label: int
-    radius: float = field(init=False)
 
-    def __post_init__(self) -> None:
-        reach = max(float(np.linalg.norm(p.mesh.vertices, axis=1).max()) for p in self.parts)
-        object.__setattr__(self, "radius", reach + 0.3)
+    @cached_property
+    def radius(self) -> float:
+        """Of a sphere around its origin that holds its parts wherever they swing [m]."""
+        return 0.3 + max(float(np.linalg.norm(p.mesh.vertices, axis=1).max()) for p in self.parts)
 
     @property
     def box(self) -> tuple[Floats, Floats]:
@@ -211,10 +161,7 @@ class Actor:
 
     def speed(self, times: ArrayLike) -> Floats:
         """Speed at ``times`` [s], m/s, shape (n,)."""
-        times = np.atleast_1d(np.asarray(times, np.float64))
-        if isinstance(self.path, Standing):
-            return np.zeros(len(times))
-        return self.path.pace.at(times)
+        return self.path.pace.at(np.atleast_1d(times))
 
     def moves_between(self, start: float, end: float) -> bool:
         """Whether it travels more than 5 cm between two times [s]."""
@@ -249,33 +196,3 @@ def swinging(pivot: ArrayLike, amplitude: float, stride: float, phase: float) ->
         return poses
 
     return swing
-
-
-def sliding(to: ArrayLike, opens: float, closes: float, seconds: float = 1.5) -> Swing:
-    """A door that slides by ``to`` (x, y, z) [m] from ``opens`` on, and back from ``closes`` on."""
-    shift = np.asarray(to, np.float64)
-
-    def swing(times: Floats, distance: Floats, speed: Floats) -> Floats:
-        share = np.clip((times - opens) / seconds, 0.0, 1.0)
-        share = share - np.clip((times - closes) / seconds, 0.0, 1.0)
-        poses = np.repeat(np.eye(4)[None], len(share), axis=0)
-        poses[:, :3, 3] = share[:, None] * shift
-        return poses
-
-    return swing
-
-
-def rounded(points: ArrayLike, radius: float) -> Floats:
-    """The polyline (k, 2) with its inner corners replaced by curves that begin ``radius`` away."""
-    corners = np.asarray(points, np.float64)
-    bend = np.linspace(0.0, 1.0, 9)[:, None]
-    pieces = [corners[:1]]
-    for before, corner, after in zip(corners, corners[1:], corners[2:], strict=False):
-        ends = []
-        for other in (before, after):
-            length = float(np.linalg.norm(other - corner))
-            ends.append(corner + (other - corner) * min(radius / length, 0.5))
-        # A quadratic Bezier curve: tangent to both sides of the corner.
-        first, last = ends
-        pieces.append((1 - bend) ** 2 * first + 2 * bend * (1 - bend) * corner + bend**2 * last)
-    return np.concatenate([*pieces, corners[-1:]])

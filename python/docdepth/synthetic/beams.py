@@ -85,7 +85,7 @@ def _spread(rays: Rays, width: float) -> list[Rays]:
 
 def _echo(world: World, hits: Hits) -> Floats:
     """How strongly each ray returns; as in :meth:`~docdepth.synthetic.sensors.Sensor.returned`."""
-    reflectivity = world.reflectivity[hits.face].astype(np.float64)
+    reflectivity = world.surface["reflectivity"][hits.face].astype(np.float64)
     return reflectivity * np.sqrt(np.maximum(hits.cosine, 1e-3)) / hits.range**2
 
 

@@ -8,44 +8,35 @@ rebuilt, and motion within a sweep is exact.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import MissingExtraError
 from docdepth.synthetic.actors import Actor
-from docdepth.synthetic.mesh import Mesh
+from docdepth.synthetic.mesh import SURFACE, Mesh
 
 Floats = NDArray[np.float64]
 # Rays per block of neighbours that share one bounding cone.
 _BLOCK = 32
 
 
-def _embree() -> tuple[Any, Any]:
-    try:
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-    except ImportError as error:
-        raise MissingExtraError(
-            'synthetic drives need embreex for ray casting: pip install "docdepth[synth]"'
-        ) from error
-    return EmbreeScene, TriangleMesh
-
-
 class Target:
     """One mesh and its acceleration structure."""
 
     def __init__(self, mesh: Mesh) -> None:
-        scene_type, mesh_type = _embree()
+        try:
+            from embreex.mesh_construction import TriangleMesh
+            from embreex.rtcore_scene import EmbreeScene
+        except ImportError as error:
+            raise MissingExtraError(
+                'synthetic drives need embreex for ray casting: pip install "docdepth[synth]"'
+            ) from error
         self.normals = mesh.normals.astype(np.float32)
-        self._scene = scene_type()
-        mesh_type(
-            self._scene,
-            np.ascontiguousarray(mesh.vertices, np.float32),
-            np.ascontiguousarray(mesh.faces, np.int32),
-        )
+        self._scene = EmbreeScene()
+        TriangleMesh(self._scene, mesh.vertices.astype(np.float32), mesh.faces)
 
     def cast(
         self, origins: Floats, directions: Floats, limits: Floats
@@ -70,7 +61,7 @@ class Hits:
     range : ndarray of float64, shape (N,)
         Metres; inf = no hit.
     face : ndarray of int32, shape (N,)
-        Index into the tables of :class:`World`; -1 = no hit.
+        Index into the surface of :class:`World`; -1 = no hit.
     labels : ndarray of uint32, shape (N,)
         SemanticKITTI class in the low 16 bits, instance in the high 16 bits.
     speed : ndarray of float32, shape (N,)
@@ -111,38 +102,40 @@ class Rays:
     directions: Floats
     times: Floats
     which: NDArray[np.int64]
-    middle: Floats = field(init=False)
-    spread: float = field(init=False)
-    axes: Floats = field(init=False)
-    openings: Floats = field(init=False)
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def bounds(self) -> tuple[Floats, float]:
+        """A sphere around the origins: its centre and radius [m]."""
         low, high = self.origins.min(axis=0), self.origins.max(axis=0)
-        object.__setattr__(self, "middle", 0.5 * (low + high))
-        object.__setattr__(self, "spread", 0.5 * float(np.linalg.norm(high - low)))
-        # A cone around each block of rays: most blocks then miss most actors without a ray test.
+        return 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+
+    @cached_property
+    def cones(self) -> tuple[Floats, Floats]:
+        """Axis and half angle of a cone around each block of rays.
+
+        Most blocks then miss most actors without a ray test.
+        """
         first = np.arange(0, len(self.directions), _BLOCK)
         axes = np.add.reduceat(self.directions, first, axis=0)
         axes /= np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-9)
         cosine = np.einsum(
             "ij,ij->i", self.directions, np.repeat(axes, _BLOCK, axis=0)[: len(self)]
         )
-        opening = np.arccos(np.clip(np.minimum.reduceat(cosine, first), -1.0, 1.0))
-        object.__setattr__(self, "axes", axes)
-        object.__setattr__(self, "openings", opening)
+        return axes, np.arccos(np.clip(np.minimum.reduceat(cosine, first), -1.0, 1.0))
 
     def __len__(self) -> int:
         return len(self.directions)
 
     def towards(self, centre: Floats, radius: float) -> NDArray[np.int64]:
         """Indices of the rays that may hit a sphere; some of them miss it."""
-        offset = centre - self.middle
+        offset = centre - self.bounds[0]
         away = float(np.linalg.norm(offset))
         if away < 1.2 * radius:
             return np.arange(len(self))
         half = float(np.arcsin(radius / away))
-        off = np.arccos(np.clip(np.einsum("ij,j->i", self.axes, offset / away), -1.0, 1.0))
-        blocks = np.flatnonzero(off <= self.openings + half + 1e-3)
+        axes, openings = self.cones
+        off = np.arccos(np.clip(np.einsum("ij,j->i", axes, offset / away), -1.0, 1.0))
+        blocks = np.flatnonzero(off <= openings + half + 1e-3)
         rows = (blocks[:, None] * _BLOCK + np.arange(_BLOCK)).ravel()
         return rows[rows < len(self)]
 
@@ -162,8 +155,9 @@ class World:
 
     Attributes
     ----------
-    labels, colours, reflectivity : ndarray
-        One row per face: the static mesh, then each part of each actor.
+    surface : ndarray of SURFACE
+        One row per face: the static mesh, then each part of each actor; the last one is for rays
+        without a hit.
     """
 
     def __init__(
@@ -174,23 +168,19 @@ class World:
         instances: Sequence[int] | None = None,
     ) -> None:
         self.static = Target(static)
-        self.actors = list(actors)
-        meshes = [static, *(part.mesh for actor in self.actors for part in actor.parts)]
-        first = np.cumsum([0, *(len(mesh) for mesh in meshes)]).tolist()
-        targets = iter(zip(first[1:], map(Target, meshes[1:]), strict=False))
-        self.targets = [[next(targets) for _ in actor.parts] for actor in self.actors]
-        labels = [static.labels]
-        numbers = range(1, len(self.actors) + 1) if instances is None else instances
-        for number, actor in zip(numbers, self.actors, strict=True):
+        self.actors: list[tuple[Actor, list[tuple[int, Target]]]] = []
+        surfaces, first = [static.surface], len(static)
+        for number, actor in zip(instances or range(1, len(actors) + 1), actors, strict=True):
+            targets = []
             moves = actor.moves_between(*span)
-            label = (number << 16) | (actor.moving_label if moves else actor.label)
-            labels += [np.full(len(part.mesh), label, np.uint32) for part in actor.parts]
-        # The last row is for rays without a hit: index -1.
-        self.labels = np.concatenate([*labels, np.zeros(1, np.uint32)])
-        self.colours = np.concatenate([m.colours for m in meshes] + [np.zeros((1, 3), np.float32)])
-        self.reflectivity = np.concatenate(
-            [m.reflectivity for m in meshes] + [np.zeros(1, np.float32)]
-        )
+            for part in actor.parts:
+                targets.append((first, Target(part.mesh)))
+                surface = part.mesh.surface.copy()
+                surface["label"] = (number << 16) | (actor.moving_label if moves else actor.label)
+                surfaces.append(surface)
+                first += len(surface)
+            self.actors.append((actor, targets))
+        self.surface = np.concatenate([*surfaces, np.zeros(1, SURFACE)])
 
     def cast(self, rays: Rays, limit: float) -> Hits:
         """First hit of each ray within ``limit`` metres."""
@@ -198,7 +188,7 @@ class World:
         distance, face = self.static.cast(rays.origins, rays.directions, np.full(count, limit))
         normals = self.static.normals[face]
         speed = np.zeros(count, np.float32)
-        for actor, targets in zip(self.actors, self.targets, strict=True):
+        for actor, targets in self.actors:
             near = self._near(actor, rays, limit, distance)
             if not len(near):
                 continue
@@ -221,14 +211,16 @@ class World:
         distance[face < 0] = np.inf
         facing = np.einsum("ij,ij->i", normals, rays.directions.astype(np.float32))
         normals *= np.where(facing > 0, np.float32(-1), np.float32(1))[:, None]
-        return Hits(distance, face, self.labels[face], speed, np.abs(facing), normals)
+        labels = self.surface["label"][face]
+        return Hits(distance, face, labels, speed, np.abs(facing), normals)
 
     def _near(self, actor: Actor, rays: Rays, limit: float, distance: Floats) -> NDArray[np.int64]:
         """Indices of the rays towards a sphere that bounds the actor at all times of the rays."""
         centres = actor.path.poses(np.linspace(rays.times[0], rays.times[-1], 3))[:, :3, 3]
         centre = 0.5 * (centres.min(axis=0) + centres.max(axis=0))
-        radius = actor.radius + 0.5 * float(np.linalg.norm(np.ptp(centres, axis=0))) + rays.spread
-        away = float(np.linalg.norm(centre - rays.middle))
+        middle, spread = rays.bounds
+        radius = actor.radius + 0.5 * float(np.linalg.norm(np.ptp(centres, axis=0))) + spread
+        away = float(np.linalg.norm(centre - middle))
         if away > limit + radius:
             return np.empty(0, np.int64)
         near = rays.towards(centre, radius)

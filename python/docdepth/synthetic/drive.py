@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +13,7 @@ from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.track import Track
 from docdepth.synthetic.beams import cast_beams, with_blooming
 from docdepth.synthetic.casting import Rays, World
+from docdepth.synthetic.mesh import pose_of
 from docdepth.synthetic.photo import View, photograph
 from docdepth.synthetic.sensors import Sensor
 from docdepth.synthetic.street import Scene
@@ -118,6 +118,8 @@ class Drive:
     camera_times : ndarray of int64, shape (frames - 1,)
     T_scene_world : ndarray of float64, shape (4, 4)
         From the world frame of the drive to the frame of the scene.
+    span : tuple of float
+        First and last second in which a point is measured.
     """
 
     def __init__(
@@ -129,19 +131,11 @@ class Drive:
         skew: bool = False,
         shutter: float = 0.37,
     ) -> None:
-        longest = int(scene.duration / sensor.period)
+        longest = np.floor(scene.duration / sensor.period)
         if not 2 <= frames <= longest:
             raise InputError(
-                f"scene {scene.name!r} is long enough for 2 to {longest} sweeps, not {frames}"
+                f"scene {scene.name!r} is long enough for 2 to {longest:.0f} sweeps, not {frames}"
             )
-        self._begin(scene, sensor, frames, seed, skew, shutter)
-        half = 0.5 * sensor.period
-        self.world = World(scene.static, scene.actors, (-half, float(self.times[-1]) / _NS + half))
-
-    def _begin(
-        self, scene: Scene, sensor: Sensor, frames: int, seed: int, skew: bool, shutter: float
-    ) -> None:
-        """Times and poses."""
         self.scene, self.sensor, self.seed, self.skew = scene, sensor, seed, skew
         self.rig = kitti_rig()
         period = round(sensor.period * _NS)
@@ -150,6 +144,9 @@ class Drive:
         self.T_scene_world = self._scene_poses(np.zeros(1))[0]
         self.poses = self.pose_at(self.times)
         self._bias = sensor.bias * np.random.default_rng([seed, 2]).normal(size=256)
+        half = 0.5 * sensor.period
+        self.span = (-half, float(self.times[-1]) / _NS + half)
+        self.world = World(scene.static, scene.actors, self.span)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -177,12 +174,11 @@ class Drive:
 
     def sweep(self, index: int) -> TrueSweep:
         """The sweep ``index``."""
-        world = self.world_at(float(self.times[index]) / _NS)
         sensor, rng = self.sensor, np.random.default_rng([self.seed, 1, index])
-        pattern = sensor.pattern(index)
-        seconds = float(self.times[index]) / _NS + sensor.period * pattern.relative_times
-        poses = self._scene_poses(seconds)
-        rotation, which = poses[pattern.which, :3, :3], pattern.which
+        pattern, stamp = sensor.pattern(index), float(self.times[index]) / _NS
+        world, seconds = self.world_at(stamp), stamp + sensor.period * pattern.relative_times
+        poses, which = self._scene_poses(seconds), pattern.which
+        rotation = poses[which, :3, :3]
         directions = np.einsum("nij,nj->ni", rotation, pattern.directions)
         ray_origins = pattern.ray_origins
         if ray_origins is None:
@@ -193,7 +189,7 @@ class Drive:
             hits = cast_beams(world, rays, sensor.beam_width, sensor.max_range)
         else:
             hits = world.cast(rays, sensor.max_range)
-        reflectivity = world.reflectivity[hits.face]
+        reflectivity = world.surface["reflectivity"][hits.face]
         if sensor.blooming:
             hits, reflectivity = with_blooming(hits, reflectivity, directions, sensor.blooming, rng)
         kept = np.flatnonzero(sensor.returned(hits.range, reflectivity, hits.cosine, rng))
@@ -203,8 +199,8 @@ class Drive:
             points = ray_origins[kept] + measured[:, None] * pattern.directions[kept]
         else:
             points = rays.origins[kept] + measured[:, None] * directions[kept]
-            stamp = inverse(self._scene_poses(self.times[index : index + 1] / _NS)[0])
-            points = np.einsum("ij,kj->ki", stamp[:3, :3], points) + stamp[:3, 3]
+            back = inverse(self._scene_poses(np.array([stamp]))[0])
+            points = np.einsum("ij,kj->ki", back[:3, :3], points) + back[:3, 3]
         intensity = reflectivity[kept] * np.sqrt(hits.cosine[kept])
         return TrueSweep(
             points.astype(np.float32),
@@ -220,20 +216,18 @@ class Drive:
 
         Their ids are the instances of the labels. ``points`` is 0: no sweep is cast to count them.
         """
-        seconds, count = self.times / _NS, len(self)
-        span = (seconds[0] - 0.5 * self.sensor.period, seconds[-1] + 0.5 * self.sensor.period)
-        into_world, step = inverse(self.T_scene_world), 1e-3
-        found = []
+        seconds, step, found = self.times / _NS, 1e-3, []
         for number, actor in enumerate(self.scene.actors, 1):
-            if not actor.moves_between(*span):
+            if not actor.moves_between(*self.span):
                 continue
             low, high = actor.box
-            centre = np.eye(4)
-            centre[:2, 3], centre[2, 3] = 0.5 * (low + high)[:2], low[2]
-            ends = [into_world @ actor.path.poses(seconds + t) @ centre for t in (-step, step)]
-            poses = into_world @ actor.path.poses(seconds) @ centre
-            velocities = (ends[1] - ends[0])[:, :3, 3] / (2 * step)
-            points, exact = np.zeros(count, np.int64), np.zeros(count)
+            x, y = 0.5 * (low + high)[:2]
+            before, poses, after = (
+                inverse(self.T_scene_world) @ actor.path.poses(seconds + t) @ pose_of(x, y, low[2])
+                for t in (-step, 0.0, step)
+            )
+            velocities = (after - before)[:, :3, 3] / (2 * step)
+            points, exact = np.zeros(len(self), np.int64), np.zeros(len(self))
             about = (number, actor.kind, self.times, poses, velocities, high - low)
             found.append(Track(*about, points, exact, exact))
         return found
@@ -249,8 +243,3 @@ class Drive:
         """Exact depth (h, w) of any camera at any time [ns]; NaN = no surface."""
         pose = self.T_scene_world @ T_world_camera
         return photograph(self.world_at(time / _NS), camera, pose, time / _NS).depth
-
-
-def sweeps_of(drive: Drive, indices: Sequence[int] | None = None) -> list[TrueSweep]:
-    """The sweeps of a short drive as a list; all of them by default."""
-    return [drive.sweep(k) for k in (range(len(drive)) if indices is None else indices)]

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Colour = tuple[float, float, float]
+SURFACE = np.dtype([("label", np.uint32), ("colour", np.float32, 3), ("reflectivity", np.float32)])
+"""A :class:`Paint` as a row of an array; the high 16 bits of the label hold an instance."""
 
 
 class Paint(NamedTuple):
@@ -32,31 +34,25 @@ class Paint(NamedTuple):
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles, each with a label, a colour and a reflectivity.
+    """Triangles and what they are made of.
 
     Attributes
     ----------
     vertices : ndarray of float64, shape (V, 3)
     faces : ndarray of int32, shape (F, 3)
-    labels : ndarray of uint32, shape (F,)
-        SemanticKITTI class in the low 16 bits, instance in the high 16 bits.
-    colours : ndarray of float32, shape (F, 3)
-    reflectivity : ndarray of float32, shape (F,)
+    surface : ndarray of SURFACE, shape (F,)
     """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
-    labels: NDArray[np.uint32]
-    colours: NDArray[np.float32]
-    reflectivity: NDArray[np.float32]
+    surface: NDArray[Any]
 
     def __len__(self) -> int:
         return len(self.faces)
 
     def moved(self, pose: NDArray[np.float64]) -> Mesh:
         """The same triangles after the 4x4 transform ``pose``."""
-        vertices = self.vertices @ pose[:3, :3].T + pose[:3, 3]
-        return Mesh(vertices, self.faces, self.labels, self.colours, self.reflectivity)
+        return replace(self, vertices=self.vertices @ pose[:3, :3].T + pose[:3, 3])
 
     @property
     def normals(self) -> NDArray[np.float64]:
@@ -64,8 +60,7 @@ class Mesh:
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         normal = np.cross(b - a, c - a)
         length = np.linalg.norm(normal, axis=1, keepdims=True)
-        result: NDArray[np.float64] = normal / np.where(length > 0, length, 1.0)
-        return result
+        return normal / np.where(length > 0, length, 1.0)
 
 
 def painted(vertices: ArrayLike, faces: ArrayLike, paint: Paint) -> Mesh:
@@ -74,9 +69,7 @@ def painted(vertices: ArrayLike, faces: ArrayLike, paint: Paint) -> Mesh:
     return Mesh(
         np.asarray(vertices, dtype=np.float64).reshape(-1, 3),
         faces,
-        np.full(len(faces), paint.label, np.uint32),
-        np.tile(np.array(paint.colour, np.float32), (len(faces), 1)),
-        np.full(len(faces), paint.reflectivity, np.float32),
+        np.full(len(faces), np.array(tuple(paint), SURFACE)),
     )
 
 
@@ -88,9 +81,7 @@ def merged(meshes: Sequence[Mesh]) -> Mesh:
         np.concatenate(
             [mesh.faces + np.int32(o) for mesh, o in zip(meshes, offsets[:-1], strict=True)]
         ),
-        np.concatenate([mesh.labels for mesh in meshes]),
-        np.concatenate([mesh.colours for mesh in meshes]),
-        np.concatenate([mesh.reflectivity for mesh in meshes]),
+        np.concatenate([mesh.surface for mesh in meshes]),
     )
 
 
@@ -174,8 +165,8 @@ def leaves(
     scale = size * rng.uniform(0.6, 1.4, (count, 1))
     u, v = 0.5 * scale * u, 0.35 * scale * v
     mesh = quads(np.stack([centres - u, centres + v, centres + u, centres - v], axis=1), paint)
-    tint = np.repeat(rng.uniform(0.7, 1.25, (count, 1)).astype(np.float32), 2, axis=0)
-    return Mesh(mesh.vertices, mesh.faces, mesh.labels, mesh.colours * tint, mesh.reflectivity)
+    mesh.surface["colour"] *= np.repeat(rng.uniform(0.7, 1.25, (count, 1)).astype(np.float32), 2, 0)
+    return mesh
 
 
 def scattered(
@@ -185,5 +176,4 @@ def scattered(
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     radius = rng.uniform(0.3, 1.0, (count, 1)) ** 0.5
-    result: NDArray[np.float64] = np.asarray(centre) + np.asarray(radii) * direction * radius
-    return result
+    return np.asarray(centre) + np.asarray(radii) * direction * radius

@@ -55,7 +55,7 @@ def photograph(world: World, camera: Camera, T_scene_camera: Floats, second: flo
     origins = np.broadcast_to(origin, directions.shape)
     hits = world.cast(Rays(origins, directions, np.array([second]), which), _FAR)
     depth = np.where(np.isfinite(hits.range), hits.range * along, np.nan)
-    colour = _shade(hits, world.colours[hits.face], origin, directions)
+    colour = _shade(hits, world.surface["colour"][hits.face], origin, directions)
     return View(
         depth.reshape(shape).astype(np.float32),
         hits.labels.reshape(shape),
@@ -72,8 +72,7 @@ def _pixel_rays(width: int, height: int, numbers: tuple[float, ...]) -> Floats:
     y = (v - K[1, 2]) / K[1, 1]
     x = (u - K[0, 2] - K[0, 1] * y) / K[0, 0]
     local = np.stack([x, y, np.ones(len(x))], axis=1)
-    result: Floats = local / np.sqrt(x * x + y * y + 1.0)[:, None]
-    return result
+    return local / np.sqrt(x * x + y * y + 1.0)[:, None]
 
 
 def _shade(
@@ -94,5 +93,4 @@ def _shade(
     up = np.clip(directions[:, 2:3].astype(np.float32) * 2.0, 0.0, 1.0)
     sky = (1 - up) * _HORIZON + up * _ZENITH
     colour = np.where(hit[:, None], colour, sky)
-    result: NDArray[np.uint8] = (235.0 * np.sqrt(np.clip(colour, 0, 1))).astype(np.uint8)
-    return result
+    return (235.0 * np.sqrt(np.clip(colour, 0, 1))).astype(np.uint8)

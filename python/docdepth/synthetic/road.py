@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from docdepth.synthetic.mesh import Mesh, Paint, painted
+from docdepth.synthetic.mesh import SURFACE, Mesh, Paint, pose_of
 
 Floats = NDArray[np.float64]
 _STEP = 0.1
@@ -43,15 +44,16 @@ class Road:
     paints: Sequence[Paint]
     d_cuts: Sequence[float]
     s_cuts: Sequence[float] = ()
-    line: Floats = field(init=False)
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def line(self) -> Floats:
+        """The centre line: rows of s, x and y."""
         s = np.arange(self.start, self.end + _STEP, _STEP)
         heading = self.heading(s + 0.5 * _STEP)
         steps = _STEP * np.stack([np.cos(heading), np.sin(heading)], axis=1)
         points = np.concatenate([np.zeros((1, 2)), np.cumsum(steps[:-1], axis=0)])
         points -= [np.interp(0.0, s, points[:, k]) for k in range(2)]
-        object.__setattr__(self, "line", np.column_stack([s, points]))
+        return np.column_stack([s, points])
 
     def height(self, s: ArrayLike, d: ArrayLike) -> Floats:
         """Height of the ground at (s, d)."""
@@ -68,19 +70,15 @@ class Road:
 
     def upright(self, s: float, d: float, yaw: float = 0.0, above: float = 0.0) -> Floats:
         """Pose of an upright object at (s, d), rotated by ``yaw`` from the heading of the road."""
-        pose = np.eye(4)
-        angle = float(self.heading(np.asarray(s))) + yaw
-        pose[:2, :2] = ((np.cos(angle), -np.sin(angle)), (np.sin(angle), np.cos(angle)))
-        pose[:3, 3] = self.point(s, d, above)
-        return pose
+        x, y, z = self.point(s, d, above)
+        return pose_of(x, y, z, float(self.heading(np.asarray(s))) + yaw)
 
     def resting(self, s: float, d: float, yaw: float, length: float, width: float) -> Floats:
         """Pose of a vehicle whose wheels, ``length`` by ``width`` apart, stand on the ground."""
         along = 0.5 * length * np.array((np.cos(yaw), np.sin(yaw)))
         across = 0.5 * width * np.array((-np.sin(yaw), np.cos(yaw)))
         ends = np.array([along, -along, across, -across]) + np.array((s, d))
-        result: Floats = resting_poses(*self.point(ends[:, 0], ends[:, 1])[:, None])[0]
-        return result
+        return resting_poses(*self.point(ends[:, 0], ends[:, 1])[:, None])[0]
 
     def cuts_between(self, start: float, end: float) -> Sequence[float]:
         """Positions of edges on a part of the road [m]."""
@@ -98,14 +96,8 @@ class Road:
         faces = np.stack([a, b, c, a, c, e], axis=-1).reshape(-1, 3)
         centre_s, centre_d = np.meshgrid(_middles(s), _middles(d), indexing="ij")
         kind = np.repeat(self.paint(centre_s.ravel(), centre_d.ravel()), 2)
-        mesh = painted(vertices, faces, self.paints[0])
-        return Mesh(
-            mesh.vertices,
-            mesh.faces,
-            np.array([p.label for p in self.paints], np.uint32)[kind],
-            np.array([p.colour for p in self.paints], np.float32)[kind],
-            np.array([p.reflectivity for p in self.paints], np.float32)[kind],
-        )
+        surfaces = np.array([tuple(paint) for paint in self.paints], SURFACE)
+        return Mesh(vertices, faces.astype(np.int32), surfaces[kind])
 
 
 def resting_poses(front: Floats, rear: Floats, left: Floats, right: Floats) -> Floats:

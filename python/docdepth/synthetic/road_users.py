@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from docdepth.synthetic.actors import Part, swinging
 from docdepth.synthetic.mesh import Colour, Mesh, Paint, ball, box, loft, merged, tube
@@ -30,9 +30,9 @@ CLOTHES: tuple[Colour, ...] = (
 )
 
 
-def _hull(stations: NDArray[np.float64], paint: Paint) -> Mesh:
+def _hull(stations: Sequence[tuple[float, ...]], paint: Paint) -> Mesh:
     """A body from stations (x, z_low, z_high, width_low, width_high), with bevelled edges."""
-    x, low, high, below, above = stations.T
+    x, low, high, below, above = np.array(stations, np.float64).T
     bevel = 0.18 * (high - low)
     y = np.stack([0.46 * below, 0.5 * below, 0.5 * above, 0.42 * above], axis=1)
     z = np.stack([low, low + bevel, high - bevel, high], axis=1)
@@ -65,42 +65,36 @@ def plates_and_lamps(label: int, length: float, width: float, height: float) -> 
     return merged(parts)
 
 
-def car(rng: Rng, label: int = 10) -> Mesh:
+def car(rng: Rng) -> Mesh:
     """A saloon, hatchback or estate car, 4.0 to 4.8 m long."""
     colour, reflectivity = CAR_COLOURS[rng.integers(len(CAR_COLOURS))]
-    paint = Paint(label, colour, reflectivity)
-    glass = Paint(label, (0.13, 0.16, 0.18), 0.03)
+    paint = Paint(10, colour, reflectivity)
+    glass = Paint(10, (0.13, 0.16, 0.18), 0.03)
     half, width = 0.5 * rng.uniform(4.0, 4.8), rng.uniform(1.72, 1.86)
     height = rng.uniform(1.42, 1.56)
     belt, floor = rng.uniform(0.86, 0.94), rng.uniform(0.17, 0.22)
     tail = (0.9, 1.25, 1.55)[rng.integers(3)]  # saloon, hatchback, estate
-    body = np.array(
-        [
-            (-half, floor + 0.18, belt - 0.12, 0.90 * width, 0.86 * width),
-            (-half + 0.12, floor + 0.05, belt, 0.98 * width, 0.94 * width),
-            (-0.3 * half, floor, belt + 0.02, width, width),
-            (0.45 * half, floor, belt, width, width),
-            (half - 0.35, floor + 0.02, 0.80 * belt, 0.97 * width, 0.92 * width),
-            (half, floor + 0.12, 0.66 * belt, 0.84 * width, 0.78 * width),
-        ]
-    )
+    body = [
+        (-half, floor + 0.18, belt - 0.12, 0.90 * width, 0.86 * width),
+        (-half + 0.12, floor + 0.05, belt, 0.98 * width, 0.94 * width),
+        (-0.3 * half, floor, belt + 0.02, width, width),
+        (0.45 * half, floor, belt, width, width),
+        (half - 0.35, floor + 0.02, 0.80 * belt, 0.97 * width, 0.92 * width),
+        (half, floor + 0.12, 0.66 * belt, 0.84 * width, 0.78 * width),
+    ]
     rear = -half + {0.9: 0.75, 1.25: 0.35, 1.55: 0.12}[tail]
-    cabin = np.array(
-        [
-            (rear, belt - 0.1, belt + 0.02, 0.9 * width, 0.86 * width),
-            (rear + (0.25 if tail > 1.3 else 0.55), belt - 0.1, height - 0.06, 0.9 * width, 1.25),
-            (-0.05 * half, belt - 0.1, height, 0.93 * width, 1.3),
-            (0.16 * half, belt - 0.1, height - 0.04, 0.93 * width, 1.28),
-            (0.60 * half, belt - 0.12, belt + 0.02, 0.88 * width, 0.86 * width),
-        ]
-    )
-    roof = np.array(
-        [
-            (rear + 0.5, height - 0.09, height - 0.03, 1.28, 1.22),
-            (-0.05 * half, height - 0.05, height + 0.015, 1.32, 1.26),
-            (0.16 * half, height - 0.08, height - 0.02, 1.3, 1.24),
-        ]
-    )
+    cabin = [
+        (rear, belt - 0.1, belt + 0.02, 0.9 * width, 0.86 * width),
+        (rear + (0.25 if tail > 1.3 else 0.55), belt - 0.1, height - 0.06, 0.9 * width, 1.25),
+        (-0.05 * half, belt - 0.1, height, 0.93 * width, 1.3),
+        (0.16 * half, belt - 0.1, height - 0.04, 0.93 * width, 1.28),
+        (0.60 * half, belt - 0.12, belt + 0.02, 0.88 * width, 0.86 * width),
+    ]
+    roof = [
+        (rear + 0.5, height - 0.09, height - 0.03, 1.28, 1.22),
+        (-0.05 * half, height - 0.05, height + 0.015, 1.32, 1.26),
+        (0.16 * half, height - 0.08, height - 0.02, 1.3, 1.24),
+    ]
     mirrors = [
         box((0.12, 0.18, 0.14), (0.38 * half, side * (0.5 * width + 0.09), belt + 0.05), paint)
         for side in (-1, 1)
@@ -111,60 +105,39 @@ def car(rng: Rng, label: int = 10) -> Mesh:
             _hull(cabin, glass),
             _hull(roof, paint),
             *mirrors,
-            wheels(label, (-0.58 * half, 0.62 * half), width - 0.04, 0.31),
-            plates_and_lamps(label, 2 * half, width, 0.72),
+            wheels(10, (-0.58 * half, 0.62 * half), width - 0.04, 0.31),
+            plates_and_lamps(10, 2 * half, width, 0.72),
         ]
     )
 
 
-def van(rng: Rng, label: int = 20) -> Mesh:
+def van(rng: Rng) -> Mesh:
     """A delivery van, 5 to 5.6 m long, 2.1 to 2.5 m high."""
     colour, reflectivity = CAR_COLOURS[rng.integers(2)]
-    paint = Paint(label, colour, reflectivity)
-    glass = Paint(label, (0.13, 0.16, 0.18), 0.03)
+    paint = Paint(20, colour, reflectivity)
+    glass = Paint(20, (0.13, 0.16, 0.18), 0.03)
     half, height, width = 0.5 * rng.uniform(5.0, 5.6), rng.uniform(2.1, 2.5), 1.98
-    body = np.array(
-        [
-            (-half, 0.38, height - 0.06, width, 0.90 * width),
-            (-half + 0.1, 0.28, height, width, 0.93 * width),
-            (half - 1.75, 0.26, height, width, 0.93 * width),
-            (half - 1.35, 0.26, height - 0.12, width, 0.92 * width),
-            (half - 0.65, 0.27, 1.28, width, 0.95 * width),
-            (half - 0.06, 0.30, 1.0, 0.95 * width, 0.9 * width),
-            (half, 0.36, 0.9, 0.88 * width, 0.84 * width),
-        ]
-    )
-    pane = np.array(
-        [(half - 1.3, 1.3, height - 0.2, 1.75, 1.6), (half - 0.6, 1.26, 1.4, 1.8, 1.75)]
-    )
-    tyres = wheels(label, (-0.55 * half, 0.62 * half), width - 0.04, 0.34)
-    trim = plates_and_lamps(label, 2 * half, width, 0.95)
+    body = [
+        (-half, 0.38, height - 0.06, width, 0.90 * width),
+        (-half + 0.1, 0.28, height, width, 0.93 * width),
+        (half - 1.75, 0.26, height, width, 0.93 * width),
+        (half - 1.35, 0.26, height - 0.12, width, 0.92 * width),
+        (half - 0.65, 0.27, 1.28, width, 0.95 * width),
+        (half - 0.06, 0.30, 1.0, 0.95 * width, 0.9 * width),
+        (half, 0.36, 0.9, 0.88 * width, 0.84 * width),
+    ]
+    pane = [(half - 1.3, 1.3, height - 0.2, 1.75, 1.6), (half - 0.6, 1.26, 1.4, 1.8, 1.75)]
+    tyres = wheels(20, (-0.55 * half, 0.62 * half), width - 0.04, 0.34)
+    trim = plates_and_lamps(20, 2 * half, width, 0.95)
     return merged([_hull(body, paint), _hull(pane, glass), tyres, trim])
 
 
-def truck(rng: Rng, label: int = 18, length: float = 9.0) -> Mesh:
-    """A lorry with a box body, 3.6 m high, open between its axles."""
-    colour, reflectivity = CAR_COLOURS[rng.integers(len(CAR_COLOURS))]
-    half = 0.5 * length
-    cab = Paint(label, colour, reflectivity)
-    load = Paint(label, (0.82, 0.80, 0.74), 0.55)
-    parts = [
-        box((length - 2.3, 2.5, 2.55), (-1.15, 0, 2.35), load),
-        box((2.0, 2.4, 2.3), (half - 1.0, 0, 1.75), cab),
-        box((0.04, 2.1, 0.8), (half, 0, 2.3), Paint(label, (0.13, 0.16, 0.18), 0.03)),
-        box((length - 1.0, 0.9, 0.25), (-0.2, 0, 0.85), Paint(label, (0.1, 0.1, 0.1), 0.1)),
-        wheels(label, (-half + 1.2, -half + 2.5, half - 1.3), 2.45, 0.5),
-        plates_and_lamps(label, length, 2.4, 0.8),
-    ]
-    return merged(parts)
-
-
-def pedestrian(rng: Rng, label: int = 30) -> list[Part]:
+def pedestrian(rng: Rng) -> list[Part]:
     """A person, 1.55 to 1.9 m tall, with swinging legs and arms."""
     tall = rng.uniform(1.55, 1.9) / 1.75
-    shirt = Paint(label, CLOTHES[rng.integers(len(CLOTHES))], float(rng.uniform(0.15, 0.6)))
-    trousers = Paint(label, CLOTHES[rng.integers(len(CLOTHES))], float(rng.uniform(0.1, 0.4)))
-    skin = Paint(label, (0.75, 0.58, 0.47), 0.4)
+    shirt = Paint(30, CLOTHES[rng.integers(len(CLOTHES))], float(rng.uniform(0.15, 0.6)))
+    trousers = Paint(30, CLOTHES[rng.integers(len(CLOTHES))], float(rng.uniform(0.1, 0.4)))
+    skin = Paint(30, (0.75, 0.58, 0.47), 0.4)
     torso = np.array([(0, 0, 0.84), (0.02, 0, 1.05), (0.01, 0, 1.32), (0, 0, 1.5)]) * tall
     body = tube(torso, np.array((0.15, 0.15, 0.18, 0.09)) * tall, shirt, 8)
     body.vertices[:, 1] *= 1.35
@@ -186,7 +159,9 @@ def pedestrian(rng: Rng, label: int = 30) -> list[Part]:
     return parts
 
 
-def _bicycle(label: int) -> Mesh:
+@lru_cache(maxsize=2)
+def bicycle(label: int = 11) -> Mesh:
+    """A bicycle without its rider."""
     frame = Paint(label, (0.15, 0.15, 0.17), 0.2)
     parts = []
     for x in (-0.52, 0.52):
@@ -208,20 +183,14 @@ def _bicycle(label: int) -> Mesh:
     return merged(parts)
 
 
-@lru_cache(maxsize=2)
-def bicycle(label: int = 11) -> Mesh:
-    """A bicycle without its rider."""
-    return _bicycle(label)
-
-
-def cyclist(rng: Rng, label: int = 31) -> list[Part]:
+def cyclist(rng: Rng) -> list[Part]:
     """A rider on a bicycle, with moving legs."""
-    shirt = Paint(label, CLOTHES[rng.integers(len(CLOTHES))], float(rng.uniform(0.2, 0.7)))
-    trousers = Paint(label, (0.12, 0.13, 0.18), 0.15)
-    skin = Paint(label, (0.75, 0.58, 0.47), 0.4)
+    shirt = Paint(31, CLOTHES[rng.integers(len(CLOTHES))], float(rng.uniform(0.2, 0.7)))
+    trousers = Paint(31, (0.12, 0.13, 0.18), 0.15)
+    skin = Paint(31, (0.75, 0.58, 0.47), 0.4)
     torso = tube([(-0.22, 0, 0.95), (-0.1, 0, 1.2), (0.06, 0, 1.45)], (0.15, 0.17, 0.14), shirt)
     torso.vertices[:, 1] *= 1.2
-    parts = [_bicycle(label), torso, ball((0.14, 0, 1.63), (0.11, 0.09, 0.13), skin)]
+    parts = [bicycle(31), torso, ball((0.14, 0, 1.63), (0.11, 0.09, 0.13), skin)]
     for side in (-1.0, 1.0):
         arm = [(0.04, side * 0.2, 1.42), (0.18, side * 0.26, 1.2), (0.36, side * 0.26, 1.05)]
         parts.append(tube(arm, (0.05, 0.045, 0.035), shirt, 6))

@@ -100,8 +100,7 @@ class Sensor:
             chance = power**2 / (1.0 + power**2)
         in_range = (distance >= self.min_range) & (distance <= self.max_range)
         # Half a percent drops out whatever the echo.
-        result: NDArray[np.bool_] = in_range & (rng.random(len(distance)) < 0.995 * chance)
-        return result
+        return in_range & (rng.random(len(distance)) < 0.995 * chance)
 
 
 def _spinning(
@@ -115,58 +114,36 @@ def _spinning(
     relative_times = (np.arange(columns) + 0.5) / columns - 0.5
     azimuth = -2.0 * np.pi * relative_times[None] + (0.0 if offsets is None else offsets[:, None])
     azimuth = np.broadcast_to(azimuth, (rings, columns)).ravel()
-    elevation = np.repeat(elevations, columns)
-    directions = np.stack(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ],
-        axis=1,
-    )
-    pattern = Pattern(
-        directions,
-        relative_times,
-        np.tile(np.arange(columns), rings),
-        np.repeat(np.arange(rings), columns),
-    )
+    directions = _directions(azimuth, np.repeat(elevations, columns))
+    which, ring = np.tile(np.arange(columns), rings), np.repeat(np.arange(rings), columns)
+    pattern = Pattern(directions, relative_times, which, ring)
     return lambda index: pattern
 
 
-def _rosette(
-    points: int, lasers: int, half_width: float, half_height: float
-) -> Callable[[int], Pattern]:
+def _avia(index: int) -> Pattern:
     """A rosette scan that never repeats, drawn by two counter-rotating prisms (Livox).
 
     The prisms turn at 7294 and -4664 rpm, as measured on Livox's first units.
     """
+    moments, lasers = 4000, 6
+    relative_times = (np.arange(moments) + 0.5) / moments - 0.5
+    seconds = 0.1 * (index + relative_times)
+    first = 2 * np.pi * 7294.0 / 60.0 * seconds
+    second = -2 * np.pi * 4664.0 / 60.0 * seconds
+    x = 0.5 * (np.cos(first) + np.cos(second))
+    y = 0.5 * (np.sin(first) + np.sin(second))
+    # The lasers stand side by side; each draws the same rosette with a small offset.
+    spread = np.radians(1.2) * (np.arange(lasers) - 0.5 * (lasers - 1)) / lasers
+    azimuth = (np.radians(35.2) * x[:, None] + spread).ravel()
+    elevation = (np.radians(38.6) * y[:, None] + 0.7 * spread).ravel()
+    which, ring = np.repeat(np.arange(moments), lasers), np.tile(np.arange(lasers), moments)
+    return Pattern(_directions(azimuth, elevation), relative_times, which, ring)
 
-    def pattern(index: int) -> Pattern:
-        moments = points // lasers
-        relative_times = (np.arange(moments) + 0.5) / moments - 0.5
-        seconds = 0.1 * (index + relative_times)
-        first = 2 * np.pi * 7294.0 / 60.0 * seconds
-        second = -2 * np.pi * 4664.0 / 60.0 * seconds
-        x = 0.5 * (np.cos(first) + np.cos(second))
-        y = 0.5 * (np.sin(first) + np.sin(second))
-        # The lasers stand side by side; each draws the same rosette with a small offset.
-        spread = np.radians(1.2) * (np.arange(lasers) - 0.5 * (lasers - 1)) / lasers
-        azimuth = (half_width * x[None] + spread[:, None]).ravel()
-        elevation = (half_height * y[None] + 0.7 * spread[:, None]).ravel()
-        directions = np.stack(
-            [
-                np.cos(elevation) * np.cos(azimuth),
-                np.cos(elevation) * np.sin(azimuth),
-                np.sin(elevation),
-            ],
-            axis=1,
-        )
-        which = np.tile(np.arange(moments), lasers)
-        order = np.argsort(which, kind="stable")
-        rings = np.repeat(np.arange(lasers), moments)
-        return Pattern(directions[order], relative_times, which[order], rings[order])
 
-    return pattern
+def _directions(azimuth: Floats, elevation: Floats) -> Floats:
+    level = np.cos(elevation)
+    rays = [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)]
+    return np.stack(rays, axis=1)
 
 
 def _hdl64() -> Callable[[int], Pattern]:
@@ -181,8 +158,9 @@ def _hdl64() -> Callable[[int], Pattern]:
     return lambda index: pattern
 
 
-def _degrees(first: float, last: float, count: int) -> Floats:
-    return np.radians(np.linspace(first, last, count))
+def _even(top: float, bottom: float, rings: int, columns: int) -> Callable[[int], Pattern]:
+    """A spinning LiDAR whose lasers are evenly spaced between two elevations [deg]."""
+    return _spinning(np.radians(np.linspace(top, bottom, rings)), columns)
 
 
 def sensors() -> dict[str, Callable[[], Sensor]]:
@@ -190,20 +168,11 @@ def sensors() -> dict[str, Callable[[], Sensor]]:
     return {
         "HDL-64": lambda: Sensor("HDL-64", _hdl64(), 62.0, 0.9, 120.0, 0.015, bias=0.008),
         "OS1-128": lambda: Sensor(
-            "OS1-128", _spinning(_degrees(22.5, -22.5, 128), 1024), 60.0, 0.5, 120.0, 0.015
+            "OS1-128", _even(22.5, -22.5, 128, 1024), 60.0, 0.5, 120.0, 0.015
         ),
-        "XT-32": lambda: Sensor(
-            "XT-32", _spinning(_degrees(15.0, -16.0, 32), 2000), 80.0, 0.3, 120.0, 0.008
-        ),
-        "VLP-16": lambda: Sensor(
-            "VLP-16", _spinning(_degrees(15.0, -15.0, 16), 1800), 50.0, 0.5, 100.0, 0.015
-        ),
-        "Avia": lambda: Sensor(
-            "Avia",
-            _rosette(24000, 6, np.radians(35.2), np.radians(38.6)),
-            *(100.0, 1.0, 190.0, 0.02),
-            spins=False,
-        ),
+        "XT-32": lambda: Sensor("XT-32", _even(15.0, -16.0, 32, 2000), 80.0, 0.3, 120.0, 0.008),
+        "VLP-16": lambda: Sensor("VLP-16", _even(15.0, -15.0, 16, 1800), 50.0, 0.5, 100.0, 0.015),
+        "Avia": lambda: Sensor("Avia", _avia, 100.0, 1.0, 190.0, 0.02, spins=False),
     }
 
 

@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from docdepth.synthetic import road_users
-from docdepth.synthetic.actors import Actor, Pace, Part, Path, Speeds
+from docdepth.synthetic.actors import Actor, Pace, Part, Path
 from docdepth.synthetic.mesh import Mesh, Paint, merged
 from docdepth.synthetic.road import Floats, Road
 
-ASPHALT = Paint(40, (0.30, 0.30, 0.31), 0.17)
-MARKING = Paint(60, (0.85, 0.85, 0.82), 0.6)
-PAVEMENT = Paint(48, (0.55, 0.53, 0.50), 0.3)
-GRASS = Paint(72, (0.33, 0.42, 0.18), 0.4)
-PARKING = Paint(44, (0.38, 0.37, 0.37), 0.2)
-COURT = Paint(49, (0.48, 0.46, 0.41), 0.3)
-KERB = Paint(48, (0.66, 0.65, 0.62), 0.35)
-PAINTS = (ASPHALT, MARKING, PAVEMENT, GRASS, PARKING, COURT, KERB)
+Ground = IntEnum("Ground", "ASPHALT MARKING PAVEMENT GRASS PARKING COURT KERB", start=0)
+"""What the ground is made of, as an index into :data:`PAINTS`."""
+PAINTS = (
+    Paint(40, (0.30, 0.30, 0.31), 0.17),
+    Paint(60, (0.85, 0.85, 0.82), 0.6),
+    Paint(48, (0.55, 0.53, 0.50), 0.3),
+    Paint(72, (0.33, 0.42, 0.18), 0.4),
+    Paint(44, (0.38, 0.37, 0.37), 0.2),
+    Paint(49, (0.48, 0.46, 0.41), 0.3),
+    Paint(48, (0.66, 0.65, 0.62), 0.35),
+)
 
 
 @dataclass(frozen=True)
@@ -72,44 +76,29 @@ class Street:
     def park(self, mesh: Mesh, s: float, d: float, yaw: float = 0.0) -> None:
         """Place a parked vehicle on its wheels, as an instance of its own."""
         self.instances += 1
-        labels = mesh.labels | np.uint32(self.instances << 16)
-        mesh = Mesh(mesh.vertices, mesh.faces, labels, mesh.colours, mesh.reflectivity)
-        self.meshes.append(mesh.moved(self.road.resting(s, d, yaw, 2.6, 1.5)))
+        surface = mesh.surface.copy()
+        surface["label"] |= np.uint32(self.instances << 16)
+        pose = self.road.resting(s, d, yaw, 2.6, 1.5)
+        self.meshes.append(replace(mesh.moved(pose), surface=surface))
 
     def send(
         self,
         kind: str,
         points: ArrayLike,
-        pace: Pace | Speeds,
+        pace: Pace,
         start: float = 0.0,
         name: str = "",
         parts: Sequence[Part] = (),
     ) -> None:
         """Add an actor that moves along the points (s, d); with parts of its own if it has any."""
         make, label, moving, length, width = KINDS[kind]
-        path = Path(self.road, np.asarray(points, np.float64), pace, start, length, width)
+        path = Path(self.road, points, pace, start, length, width)
         name = name or f"{kind} {len(self.actors) + 1}"
         self.actors.append(Actor(name, parts or make(self.rng), path, label, moving))
 
-    def arrive(
-        self,
-        kind: str,
-        points: ArrayLike,
-        speed: float,
-        stop: float,
-        deceleration: float = 2.0,
-        name: str = "",
-    ) -> None:
-        """Add an actor that stands at the end of the points from ``stop`` [s] on."""
-        pace = Speeds((stop - speed / deceleration, stop), (speed, 0.0))
-        along = np.linalg.norm(np.diff(np.asarray(points, np.float64), axis=0), axis=1).sum()
-        start = float(along - pace.distance(stop))
-        self.send(kind, points, pace, start, name or f"{kind} that arrives")
-
-    def walk(self, s: float, d: float, speed: float, to: float | None = None) -> None:
+    def walk(self, s: float, d: float, speed: float) -> None:
         """Add a pedestrian along the road from (s, d); with a negative speed, against the road."""
-        sign = 1.0 if speed > 0 else -1.0
-        points = [(s, d), (s + sign * 20.0, d if to is None else to)]
+        points = [(s, d), (s + (20.0 if speed > 0 else -20.0), d)]
         self.send("pedestrian", points, Pace(abs(speed), wave=0.05, period=5.0))
 
     def row(
@@ -143,16 +132,11 @@ class Street:
         return Scene(name, seed, static, self.actors, ego, duration)
 
 
-def _one(mesh: Mesh) -> list[Part]:
-    return [Part(mesh)]
-
-
 KINDS: dict[str, tuple[Callable[[np.random.Generator], list[Part]], int, int, float, float]] = {
-    "car": (lambda rng: _one(road_users.car(rng, 10)), 10, 252, 2.6, 1.5),
-    "van": (lambda rng: _one(road_users.van(rng, 20)), 20, 259, 3.2, 1.7),
-    "truck": (lambda rng: _one(road_users.truck(rng, 18)), 18, 258, 5.5, 2.1),
-    "cyclist": (lambda rng: road_users.cyclist(rng, 31), 31, 253, 1.04, 0.1),
-    "pedestrian": (lambda rng: road_users.pedestrian(rng, 30), 30, 254, 0.4, 0.2),
+    "car": (lambda rng: [Part(road_users.car(rng))], 10, 252, 2.6, 1.5),
+    "van": (lambda rng: [Part(road_users.van(rng))], 20, 259, 3.2, 1.7),
+    "cyclist": (road_users.cyclist, 31, 253, 1.04, 0.1),
+    "pedestrian": (road_users.pedestrian, 30, 254, 0.4, 0.2),
 }
 """Parts, label, label while it moves, and distance of the wheels along and across [m] by kind."""
 
@@ -167,10 +151,8 @@ def waves(*terms: tuple[float, float, float]) -> Callable[[Floats], Floats]:
 
     def value(s: Floats) -> Floats:
         s = np.asarray(s, np.float64)
-        total = np.zeros(s.shape)
-        for amplitude, length, phase in terms:
-            total = total + amplitude * np.sin(2 * np.pi * s / length + phase)
-        return total
+        sines = (a * np.sin(2 * np.pi * s / length + phase) for a, length, phase in terms)
+        return sum(sines, np.zeros(s.shape))
 
     return value
 
@@ -179,41 +161,4 @@ def bumps(s: Floats, d: Floats) -> Floats:
     """Height of uneven ground, about 3 cm up and down [m]."""
     first = np.sin(0.9 * s + 1.3 * np.sin(0.37 * d)) * np.sin(1.1 * d + 0.8)
     second = np.sin(2.1 * s - 0.7 * d) * np.sin(1.7 * d + 0.5 * s)
-    result: Floats = 0.02 * first + 0.015 * second
-    return result
-
-
-def level_road(start: float = -150.0, end: float = 350.0) -> Road:
-    """A plane: x = s, y = d, z = 0."""
-
-    def nothing(s: Floats, d: Floats | None = None) -> Floats:
-        return np.zeros(np.shape(s))
-
-    def asphalt(s: Floats, d: Floats) -> NDArray[np.int64]:
-        return np.zeros(np.shape(s), np.int64)
-
-    cuts = np.linspace(-100.0, 100.0, 9).tolist()
-    return Road(start, end, nothing, nothing, nothing, asphalt, PAINTS, cuts)
-
-
-def plain_scene(
-    static: Sequence[Mesh] = (),
-    actors: Sequence[Actor] = (),
-    speed: float = 0.0,
-    duration: float = 30.0,
-) -> Scene:
-    """A small scene on a plane; the ego moves along x from the origin.
-
-    Parameters
-    ----------
-    static : sequence of Mesh
-        In the frame of the plane; ``Mesh.moved(pose_of(x, y, z, yaw))`` places them.
-    actors : sequence of Actor
-        For instance on paths along :func:`level_road`.
-    speed : float
-        Speed of the ego [m/s].
-    """
-    road = level_road(end=max(350.0, 150.0 + speed * duration))
-    ground = road.ground(step=25.0)
-    ego = Path(road, np.array([(0.0, 0.0), (1.0, 0.0)]), Pace(speed))
-    return Scene("plain", 0, merged([ground, *static]), list(actors), ego, duration)
+    return 0.02 * first + 0.015 * second

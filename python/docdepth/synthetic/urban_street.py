@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from docdepth.synthetic import houses, road_users, roadside
+from docdepth.synthetic.mesh import Mesh
 from docdepth.synthetic.road import Floats, Road
-from docdepth.synthetic.street import PAINTS, Street, bumps, waves
+from docdepth.synthetic.street import PAINTS, Ground, Street, bumps, waves
 
 
 def urban_road(
@@ -19,9 +21,9 @@ def urban_road(
     elevation: Sequence[tuple[float, float, float]],
     kerb: float,
     walk: float,
-    junctions: Sequence[tuple[float, float]] = (),
+    junctions: Sequence[tuple[float, float]],
     parking: float = 99.0,
-    yard: int = 5,
+    yard: int = Ground.COURT,
 ) -> Road:
     """A street with camber, pavements and kerbs 12 cm high.
 
@@ -34,58 +36,45 @@ def urban_road(
     parking : float
         Start of the parking strip, from the centre line [m].
     yard : int
-        Material beyond the pavement, index into ``PAINTS``: 3 grass, 5 courtyards.
+        Index into ``PAINTS`` of what lies beyond the pavement.
     """
     lines = [(s - half, s + half) for s, half in junctions]
 
-    def open_to_traffic(s: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        inside = np.zeros(np.shape(s), bool)
-        for low, high in lines:
-            inside |= (s > low) & (s < high)
-        return inside
+    def at_junction(s: Floats, margin: float = 0.0) -> NDArray[np.bool_]:
+        inside = [(s > low - margin) & (s < high + margin) for low, high in lines]
+        return np.any(inside, axis=0)
 
     def profile(s: Floats, d: Floats) -> Floats:
         across = np.abs(d)
-        raised = (across > kerb) & ~open_to_traffic(s)
+        raised = (across > kerb) & ~at_junction(s)
         road = -0.02 * np.minimum(across, kerb)
         pavement = 0.12 + 0.02 * np.clip(across - kerb, 0, walk - kerb)
-        far = np.clip((across - walk) / 3.0, 0.0, 1.0) * bumps(s, d) * (yard == 3)
-        result: Floats = road + np.where(raised, pavement + far, 0.0)
-        return result
+        far = np.clip((across - walk) / 3.0, 0.0, 1.0) * bumps(s, d) * (yard == Ground.GRASS)
+        return road + np.where(raised, pavement + far, 0.0)
 
-    def paint(s: Floats, d: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-        across, crossing = np.abs(d), open_to_traffic(s)
-        beside = np.zeros(len(s), bool)
-        for low, high in lines:
-            beside |= (s > low - 3.0) & (s < high + 3.0)
-        kind = np.where(across > walk, np.where(beside, 2, yard), 2)
-        kind = np.where((across > kerb - 0.02) & (across < kerb + 0.15), 6, kind)
-        kind = np.where(across < kerb, np.where(across > parking, 4, 0), kind)
-        dashes = (across < 0.07) & (np.mod(s, 6.0) < 3.0)
-        kind = np.where(dashes, 1, kind)
-        kind = np.where(crossing, 0, kind)
-        for low, high in lines:  # crosswalk stripes before and behind the junction
-            stripes = ((s > low - 4) & (s < low - 1)) | ((s < high + 4) & (s > high + 1))
-            kind = np.where(stripes & (across < kerb - 0.3) & (np.mod(d, 1.0) < 0.5), 1, kind)
-        return kind.astype(np.int64)
+    def paint(s: Floats, d: Floats) -> NDArray[np.int64]:
+        across = np.abs(d)
+        crosswalk = at_junction(s, 4.0) & ~at_junction(s, 1.0)
+        surfaces = (
+            (crosswalk & (across < kerb - 0.3) & (np.mod(d, 1.0) < 0.5), Ground.MARKING),
+            (at_junction(s), Ground.ASPHALT),
+            ((across < 0.07) & (np.mod(s, 6.0) < 3.0), Ground.MARKING),
+            ((across < kerb) & (across > parking), Ground.PARKING),
+            (across < kerb, Ground.ASPHALT),
+            (across < kerb + 0.15, Ground.KERB),
+            ((across > walk) & ~at_junction(s, 3.0), yard),
+        )
+        where, what = zip(*surfaces, strict=True)
+        return np.select(where, what, Ground.PAVEMENT)
 
     cuts = [0.0, 0.07, kerb - 0.01, kerb + 0.01, kerb + 0.15, walk, *np.arange(0.5, walk + 4, 0.5)]
     cuts += [parking] if parking < kerb else []
     cuts += [*np.arange(walk + 4, 30.0, 2.0), *np.arange(30.0, 96.0, 5.0)]
     sides = np.array(cuts)
-    edges = [v + e for low, high in lines for v in (low, high) for e in (-0.01, 0.01)]
-    edges += [v + e for low, high in lines for v in (low, high) for e in (-4, -3, -1, 1, 3, 4)]
-    return Road(
-        start,
-        end,
-        waves(*heading),
-        waves(*elevation),
-        profile,
-        paint,
-        PAINTS,
-        np.concatenate([-sides, sides]).tolist(),
-        edges,
-    )
+    beside = (-4, -3, -1, -0.01, 0.01, 1, 3, 4)
+    edges = [v + e for line in lines for v in line for e in beside]
+    form = (waves(*heading), waves(*elevation), profile, paint, PAINTS)
+    return Road(start, end, *form, np.concatenate([-sides, sides]).tolist(), edges)
 
 
 def blocks(
@@ -135,26 +124,27 @@ def add_furniture(
     junctions: Sequence[tuple[float, float]],
     trees: float,
 ) -> None:
+    """Trees, lamps, signs, bollards, refuse bins, bicycles and traffic lights."""
     rng = street.rng
+
+    def free(first: float, step: float, margin: float) -> Floats:
+        return away_from(np.arange(start + first, end, step), junctions, margin)
+
+    def tree() -> Mesh:
+        return roadside.tree(rng, float(rng.uniform(6, 9.5)))
+
     for side in (-1.0, 1.0):
-        d = side * (kerb + 0.8)
-        spots = away_from(np.arange(start + 5 + 4 * side, end, 13.0), junctions, 6.0)
-        street.row(lambda: roadside.tree(rng, float(rng.uniform(6, 9.5))), spots, d, trees, 0.8)
-        poles = away_from(np.arange(start + 11 + 8 * side, end, 26.0), junctions, 3.0)
         yaw = np.pi if side > 0 else 0.0
-        street.row(partial(roadside.pole, 7.0, 1.5), poles, side * (kerb + 0.5), 1, 0.2, yaw)
-        spots = np.arange(start + 20, end, 31.0)
-        street.row(lambda: roadside.sign(rng), spots, side * (kerb + 0.4), 0.8, 3.0, yaw)
-        street.row(
-            roadside.bollard,
-            away_from(np.arange(start, end, 2.5), junctions, 1.0),
-            side * (kerb + 0.3),
-            0.12,
-            0.1,
-        )
-        spots = np.arange(start + 7, end, 17.0)
-        street.row(lambda: roadside.refuse_bin(rng), spots, side * (kerb + 3.6), 0.5, 2.0)
-        street.row(road_users.bicycle, spots + 8.0, side * (kerb + 3.7), 0.6, 2.0)
+        signs, bins = np.arange(start + 20, end, 31.0), np.arange(start + 7, end, 17.0)
+        for make, spots, d, chance, jitter, turn in (
+            (tree, free(5 + 4 * side, 13.0, 6.0), 0.8, trees, 0.8, 0.0),
+            (partial(roadside.pole, 7.0, 1.5), free(11 + 8 * side, 26.0, 3.0), 0.5, 1.0, 0.2, yaw),
+            (lambda: roadside.sign(rng), signs, 0.4, 0.8, 3.0, yaw),
+            (roadside.bollard, free(0, 2.5, 1.0), 0.3, 0.12, 0.1, 0.0),
+            (lambda: roadside.refuse_bin(rng), bins, 3.6, 0.5, 2.0, 0.0),
+            (road_users.bicycle, bins + 8.0, 3.7, 0.6, 2.0, 0.0),
+        ):
+            street.row(make, spots, side * (kerb + d), chance, jitter, turn)
     for s, half in junctions:
         for side in (-1.0, 1.0):
             yaw = 0.0 if side < 0 else np.pi

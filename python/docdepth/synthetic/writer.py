@@ -86,13 +86,8 @@ def write_drive(
     DatasetError
         ``out`` is a file, or not empty and not this drive, unfinished.
     """
-    about = {
-        "scene": scene,
-        "sensor": sensor,
-        "seed": seed,
-        "frames": frames,
-        "motion_compensated": not skew,
-    }
+    about: dict[str, Any] = {"scene": scene, "sensor": sensor, "seed": seed, "frames": frames}
+    about["motion_compensated"] = not skew
     about |= {"beam_width_deg": beam_width_deg} if beam_width_deg else {}
     about |= {"blooming_deg": blooming_deg} if blooming_deg else {}
     folder = sequence_folder(out)
@@ -113,7 +108,9 @@ def write_drive(
         if progress is not None:
             progress("synth", k + 1, frames)
     if images:
-        _write_camera(folder, drive)
+        camera = drive.rig.camera
+        (folder / "image_2" / "times.txt").write_text(_seconds(drive.camera_times))
+        (folder / "image_2" / "size.txt").write_text(f"{camera.width} {camera.height}\n")
     tracks = [replace(track, points=returns[:, track.id]) for track in drive.tracks()]
     write_tracks(folder / TRACKS, tracks, drive.times)
     # Written last: a folder that has it is complete.
@@ -147,25 +144,20 @@ def written_drive(folder: Path) -> dict[str, Any] | None:
 
 def _make_room(out: Path, folder: Path, about: dict[str, Any], force: bool) -> None:
     """Refuse to write over anything but this drive, unfinished, and with ``force`` another one."""
-    if not out.is_dir():
-        if out.exists() or out.is_symlink():
-            raise DatasetError(f"{out} is no folder; choose another name for the drive")
-        return
-    if not any(out.iterdir()):
-        return
+    if (out.exists() or out.is_symlink()) and not out.is_dir():
+        raise DatasetError(f"{out} is no folder; choose another name for the drive")
+    names = sorted(entry.name for entry in out.iterdir()) if out.is_dir() else []
     there = written_drive(folder)
     if there is not None and force:
-        return _delete_drive(folder, int(there["frames"]))
-    if there == about and (folder / _UNFINISHED).is_file():
-        return
-    if there is not None:
+        _delete_drive(folder, int(there["frames"]))
+    elif there is not None and (there != about or not (folder / _UNFINISHED).is_file()):
         raise DatasetError(
             f"{out} holds a synthetic drive ({described(there)})",
             "choose another folder, or replace it with `force=True`",
         )
-    names = sorted(entry.name for entry in out.iterdir())
-    listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-    raise DatasetError(f"{out} is not empty: it holds {listed}; choose another folder")
+    elif there is None and names:
+        listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+        raise DatasetError(f"{out} is not empty: it holds {listed}; choose another folder")
 
 
 def described(about: dict[str, Any]) -> str:
@@ -175,29 +167,27 @@ def described(about: dict[str, Any]) -> str:
 
 def _delete_drive(folder: Path, frames: int) -> None:
     """Delete the files of a synthetic drive, and no others."""
-    for name in ("calib.txt", "times.txt", "poses.txt", TRACKS, _ABOUT, _UNFINISHED):
+    names = ["calib.txt", "times.txt", "poses.txt", TRACKS, _ABOUT, _UNFINISHED]
+    names += ["image_2/times.txt", "image_2/size.txt"]
+    names += [f"{kind}/{k:06d}.{suffix}" for kind, suffix in _KINDS.items() for k in range(frames)]
+    for name in names:
         (folder / name).unlink(missing_ok=True)
-    for kind, suffix in _KINDS.items():
-        for index in range(frames):
-            (folder / kind / f"{index:06d}.{suffix}").unlink(missing_ok=True)
-    for name in ("times.txt", "size.txt"):
-        (folder / "image_2" / name).unlink(missing_ok=True)
 
 
 def _write_frame_of_reference(folder: Path, drive: Drive) -> None:
     rig = drive.rig
-    rows = {f"P{k}": rig.P[k] for k in range(4)} | {"Tr": rig.Tr[:3]}
-    lines = [f"{name}: {_numbers(values)}" for name, values in rows.items()]
-    (folder / "calib.txt").write_text("\n".join(lines) + "\n")
-    (folder / "times.txt").write_text(_seconds(drive.times))
     poses = rig.Tr @ drive.poses @ inverse(rig.Tr)
-    (folder / "poses.txt").write_text("".join(f"{_numbers(pose[:3])}\n" for pose in poses))
+    np.savetxt(folder / "poses.txt", poses[:, :3].reshape(-1, 12), "%.12e")
+    (folder / "times.txt").write_text(_seconds(drive.times))
+    with (folder / "calib.txt").open("w") as file:
+        for name, values in zip(("P0", "P1", "P2", "P3", "Tr"), [*rig.P, rig.Tr[:3]], strict=True):
+            np.savetxt(file, values.reshape(1, 12), f"{name}: %.12e" + " %.12e" * 11)
 
 
 def _write_sweep(folder: Path, drive: Drive, index: int) -> NDArray[np.uint32]:
     """Write a sweep; returns the instance of each point."""
     sweep = drive.sweep(index)
-    rows = np.column_stack([sweep.points, sweep.intensity]).astype(np.float32)
+    rows = np.column_stack([sweep.points, sweep.intensity])
     rows.tofile(_file(folder, "velodyne", index))
     sweep.labels.tofile(_file(folder, "labels", index))
     np.save(_file(folder, "speeds", index), sweep.speed.astype(np.float16))
@@ -216,12 +206,6 @@ def _write_image(folder: Path, drive: Drive, index: int) -> None:
     np.save(_file(folder, "class_2", index), view.labels)
 
 
-def _write_camera(folder: Path, drive: Drive) -> None:
-    camera = drive.rig.camera
-    (folder / "image_2" / "times.txt").write_text(_seconds(drive.camera_times))
-    (folder / "image_2" / "size.txt").write_text(f"{camera.width} {camera.height}\n")
-
-
 def _file(folder: Path, kind: str, index: int) -> Path:
     (folder / kind).mkdir(exist_ok=True)
     return folder / kind / f"{index:06d}.{_KINDS[kind]}"
@@ -229,7 +213,3 @@ def _file(folder: Path, kind: str, index: int) -> Path:
 
 def _seconds(times: NDArray[np.int64]) -> str:
     return "".join(f"{t // 10**9}.{t % 10**9:09d}\n" for t in times.tolist())
-
-
-def _numbers(values: NDArray[np.float64]) -> str:
-    return " ".join(f"{value:.12e}" for value in values.ravel())
