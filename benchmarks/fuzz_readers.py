@@ -155,7 +155,11 @@ def _ply(folder: Path) -> list[bytes]:
 
 
 def _read_ply(path: Path) -> None:
-    for read in (read_frame, read_trajectory, lambda p: read_cloud(p, 3, RowFormat())):
+    for read in (
+        read_frame,
+        read_trajectory,
+        lambda p: read_cloud(p, str(p), RowFormat()),
+    ):
         _tolerant(read, path)
 
 
@@ -168,18 +172,18 @@ def _tolerant(read: Callable[[Path], object], path: Path) -> None:
 def _read_pcd(path: Path) -> None:
     _tolerant(lambda p: read_viewpoint(p, 3), path)
     _tolerant(lambda p: read_classes(p, 6, 3, lambda: np.arange(6)), path)
-    read_cloud(path, 3, RowFormat())
+    read_cloud(path, "sweep (frame 3)", RowFormat())
 
 
 def _read_bin(path: Path) -> None:
     _tolerant(lambda p: kitti_files.read_sweep(p, 3), path)
-    read_cloud(path, 3, RowFormat())
+    read_cloud(path, "sweep (frame 3)", RowFormat())
 
 
 def _read_npy(path: Path) -> None:
     for read in (
         read_poses, read_depth, lambda p: read_classes(p, 6, 3),
-        lambda p: read_cloud(p, 3, RowFormat()),
+        lambda p: read_cloud(p, str(p), RowFormat()),
     ):  # fmt: skip
         _tolerant(read, path)
 

@@ -125,7 +125,7 @@ def test_it_is_named(
     change(file)
     new = set(tmp_path.rglob("*")) - before
     with pytest.raises(error) as caught:
-        open_dataset(path)
+        _ = open_dataset(path).poses
     assert (new.pop() if new else file).name in str(caught.value)
     assert told in str(caught.value)
 

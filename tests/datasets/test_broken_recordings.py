@@ -107,7 +107,7 @@ def test_links_that_lead_nowhere_and_folders_are_named(copy: Path, name: str, ki
         file.symlink_to(copy / "gone")
     text = "is a folder where a file" if kind == "folder" else "is a link to .*gone"
     with pytest.raises((DatasetError, CalibrationError), match=f"{Path(name).name}.* {text}"):
-        open_dataset(copy)
+        open_dataset(copy).cameras["image_2"].image(0)
 
 
 @pytest.mark.parametrize("name", ["labels/000002.label", "point_times/000002.bin"])

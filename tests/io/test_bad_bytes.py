@@ -94,7 +94,7 @@ def pcd(fields: str, kinds: str, counts: str, data: str, body: bytes, points: in
 def test_pcd(tmp_path: Path, content: bytes, match: str) -> None:
     pytest.importorskip("lzf")
     with pytest.raises(DatasetError, match=match):
-        read_cloud(written(tmp_path / "a.pcd", content), 3, RowFormat())
+        read_cloud(written(tmp_path / "a.pcd", content), "sweep (frame 3)", RowFormat())
 
 
 def test_pcd_with_several_labels_a_point(tmp_path: Path) -> None:
@@ -210,7 +210,7 @@ def test_broken_arrays(tmp_path: Path, content: bytes, match: str) -> None:
     with pytest.raises(OdometryError):
         read_poses(tmp_path / "a.npy")
     with pytest.raises(DatasetError):
-        read_cloud(tmp_path / "a.npy", 3, RowFormat())
+        read_cloud(tmp_path / "a.npy", "sweep (frame 3)", RowFormat())
 
 
 def archive(method: int = 8, size: int | None = None, flags: int = 0, version: int = 20) -> bytes:

@@ -61,8 +61,7 @@ def test_broken_frames_are_as_if_they_had_not_been_recorded(drive: Path, tmp_pat
     spoil(drive)
     stopped = make(drive, tmp_path / "run")
     assert stopped.exit_code == 2
-    for k in BROKEN[:2]:
-        assert f"{k:06d}.bin (frame {k})" in str(stopped.exception)
+    assert f"{BROKEN[0]:06d}.bin (frame {BROKEN[0]})" in str(stopped.exception)
 
     result = make(drive, tmp_path / "run", "--on-error", "skip")
     assert result.exit_code == 0, result.output

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import LidarStream
+from docdepth.datasets.files import read_bytes
 from docdepth.datasets.point_times import FIELD_NAMES as TIME_NAMES
 from docdepth.errors import DatasetError
 
@@ -57,15 +58,53 @@ class LidarReader(Protocol):
 
 
 @dataclass(frozen=True)
-class SweepFiles:
-    """The sweeps of one LiDAR, a file each; formats add how a file is read."""
+class FileLidar:
+    """A LiDAR whose sweeps are a file each.
+
+    Attributes
+    ----------
+    stream : LidarStream
+    sweeps : list of Path
+    read_file : callable
+        ``read_file(file, where)`` reads a sweep; ``where`` names file and frame in errors. A
+        function of a module, so that datasets can be sent to other processes.
+    """
 
     stream: LidarStream
     sweeps: list[Path]
+    read_file: Callable[[Path, str], Cloud]
+
+    def read(self, index: int) -> Cloud:
+        """Own sweep ``index``."""
+        return self.read_file(self.sweeps[index], f"{self.sweeps[index]} (frame {index})")
 
     def files(self, index: int) -> list[Path]:
         """The file of own sweep ``index``."""
         return [self.sweeps[index]]
+
+
+def packed(**fields: str) -> np.dtype[Any]:
+    """Rows of these fields without gaps, little endian: ``packed(x="f4", ring="u2")``."""
+    return np.dtype([(name, f"<{kind}") for name, kind in fields.items()])
+
+
+def read_rows(file: Path, where: str, rows: np.dtype[Any], remedy: str) -> NDArray[Any]:
+    """Rows of fixed fields, which a file is full of.
+
+    Raises
+    ------
+    DatasetError
+        The file cannot be read, or holds no whole number of rows.
+    """
+    content = read_bytes(file, remedy, where)
+    if not content:
+        raise DatasetError(f"{where} is empty; {remedy}")
+    if len(content) % rows.itemsize:
+        raise DatasetError(
+            f"{where} has {len(content)} bytes, which is not a multiple of {rows.itemsize} "
+            f"({' '.join(rows.names or ())}): it is truncated or has other columns; {remedy}"
+        )
+    return np.frombuffer(content, rows)
 
 
 def rows_of(columns: Mapping[str, NDArray[Any]]) -> NDArray[Any]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.cloud import Cloud, cloud_from_fields, rows_of
-from docdepth.datasets.files import unreadable
+from docdepth.datasets.files import extra, unreadable
 from docdepth.datasets.point_format import foreign_format
-from docdepth.errors import DamagedFileError, DatasetError, InputError, MissingExtraError, RunError
+from docdepth.errors import DamagedFileError, DatasetError, InputError, RunError
 from docdepth.geometry.se3 import poses_from, quaternion_to_matrix
 from docdepth.io.npy import ArrayError, read_array
-from docdepth.io.pcd import PcdError, PcdHeader, read_pcd, read_pcd_header
+from docdepth.io.pcd import PcdError, read_pcd, read_pcd_header
 from docdepth.io.ply import read_vertices
 
 KITTI_COLUMNS = ("x", "y", "z", "intensity")
@@ -38,14 +39,14 @@ class RowFormat:
     dtype: str = "float32"
 
 
-def read_cloud(file: Path, frame: int, rows: RowFormat) -> Cloud:
+def read_cloud(file: Path, where: str, rows: RowFormat) -> Cloud:
     """Read the sweep of a file.
 
     Parameters
     ----------
     file : Path
-    frame : int
-        For messages.
+    where : str
+        File and frame, for messages.
     rows : RowFormat
         Of files that do not tell it themselves.
 
@@ -56,13 +57,9 @@ def read_cloud(file: Path, frame: int, rows: RowFormat) -> Cloud:
     MissingExtraError
         The library that reads it is missing.
     """
-    where = f"{file} (frame {frame})"
     try:
-        return READERS[file.suffix.lower()](file, where, rows)
-    except OSError as error:
-        raise _with_frame(unreadable(file, "put the sweep back", error), where, file) from None
-    except PcdError as error:
-        raise DatasetError(f"{where} {error}; copy the sweep again") from None
+        with _of_pcd(file, where):
+            return READERS[file.suffix.lower()](file, where, rows)
     except DamagedFileError as error:
         found = f"is damaged ({error.what})" if error.what else "is missing"
         raise DatasetError(f"{where} {found}; copy the sweep again") from None
@@ -79,28 +76,25 @@ def read_viewpoint(file: Path, frame: int) -> NDArray[np.float64]:
         The file cannot be read, or its viewpoint is no pose.
     """
     where = f"{file} (frame {frame})"
+    with _of_pcd(file, where):
+        position, (w, x, y, z) = np.split(read_pcd_header(file).viewpoint, [3])
     try:
-        return _pose_of(read_pcd_header(file), where)
-    except OSError as error:
-        raise _with_frame(unreadable(file, "put the sweep back", error), where, file) from None
-    except PcdError as error:
-        raise DatasetError(f"{where} {error}; copy the sweep again") from None
-
-
-def _with_frame(error: DatasetError, where: str, file: Path) -> DatasetError:
-    return DatasetError(str(error).replace(str(file), where, 1))
-
-
-def _pose_of(header: PcdHeader, where: str) -> NDArray[np.float64]:
-    w, x, y, z = header.viewpoint[3:]
-    try:
-        rotation = quaternion_to_matrix([x, y, z, w])
+        return poses_from([quaternion_to_matrix([x, y, z, w])], [position])[0]
     except InputError:
         raise DatasetError(
             f"{where}: VIEWPOINT is no pose; it is tx ty tz qw qx qy qz with a quaternion of "
             "length 1"
         ) from None
-    return poses_from([rotation], [header.viewpoint[:3]])[0]
+
+
+@contextmanager
+def _of_pcd(file: Path, where: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise unreadable(file, "put the sweep back", error, where) from None
+    except PcdError as error:
+        raise DatasetError(f"{where} {error}; copy the sweep again") from None
 
 
 def _read_pcd(file: Path, where: str, rows: RowFormat) -> Cloud:
@@ -154,12 +148,7 @@ def _named(table: NDArray[Any], rows: RowFormat, where: str) -> NDArray[Any]:
 
 
 def _read_las(file: Path, where: str, rows: RowFormat) -> Cloud:
-    try:
-        import laspy
-    except ImportError:
-        raise MissingExtraError(
-            "LAS and LAZ files need laspy and lazrs: pip install 'docdepth[clouds]'"
-        ) from None
+    laspy = extra("laspy", "LAS and LAZ files need laspy and lazrs", "clouds")
     try:
         las = laspy.read(file)
     except (laspy.errors.LaspyException, ValueError, RuntimeError) as error:

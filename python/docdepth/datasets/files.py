@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import CalibrationError, DatasetError
+from docdepth.errors import CalibrationError, DatasetError, MissingExtraError
 from docdepth.io.images import decode_image
 from docdepth.io.yaml_json import parse_json
 
@@ -37,21 +39,24 @@ def is_there(file: Path) -> bool:
     return False
 
 
-def unreadable(file: Path, remedy: str, error: OSError | None = None) -> DatasetError:
+def unreadable(
+    file: Path, remedy: str, error: OSError | None = None, where: str = ""
+) -> DatasetError:
     """The error of a file that is there, missing or no file, whichever it is."""
+    where = where or str(file)
     if file.is_dir():
-        return DatasetError(f"{file} is a folder where a file is expected; {remedy}")
+        return DatasetError(f"{where} is a folder where a file is expected; {remedy}")
     if file.is_symlink() and not file.exists():
-        return DatasetError(f"{file} is a link to {file.readlink()}, which is missing; {remedy}")
+        return DatasetError(f"{where} is a link to {file.readlink()}, which is missing; {remedy}")
     if isinstance(error, PermissionError):
-        return DatasetError(f"{file} may not be read by you; change its permissions")
+        return DatasetError(f"{where} may not be read by you; change its permissions")
     if error is not None and file.exists():
-        return DatasetError(f"{file} cannot be read ({error.strerror}); {remedy}")
-    return DatasetError(f"{file} is missing; {remedy}")
+        return DatasetError(f"{where} cannot be read ({error.strerror}); {remedy}")
+    return DatasetError(f"{where} is missing; {remedy}")
 
 
-def read_bytes(file: Path, remedy: str) -> bytes:
-    """The content of a file.
+def read_bytes(file: Path, remedy: str, where: str = "") -> bytes:
+    """The content of a file, which errors name by ``where`` if it is given.
 
     Raises
     ------
@@ -61,7 +66,7 @@ def read_bytes(file: Path, remedy: str) -> bytes:
     try:
         return file.read_bytes()
     except OSError as error:
-        raise unreadable(file, remedy, error) from None
+        raise unreadable(file, remedy, error, where) from None
 
 
 def read_lines(file: Path, remedy: str) -> list[str]:
@@ -120,3 +125,27 @@ def read_image(file: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[np.uint8]:
     if image is None:
         raise DatasetError(f"{file} is not a readable image; replace or remove it")
     return np.asarray(image)
+
+
+def extra(module: str, what: str, name: str) -> Any:
+    """The module of a library that comes in an extra of docdepth.
+
+    Parameters
+    ----------
+    module : str
+    what : str
+        What needs it, as in "bags need rosbags".
+    name : str
+        Of the extra.
+
+    Raises
+    ------
+    MissingExtraError
+        It is not installed.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return import_module(module)
+    except ImportError:
+        raise MissingExtraError(f"{what}: pip install 'docdepth[{name}]'") from None

@@ -12,21 +12,14 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.base import (
-    CameraStream,
-    Dataset,
-    DatasetRepr,
-    ImageStream,
-    LidarStream,
-    Sweep,
-)
+from docdepth.datasets.base import CameraStream, Dataset, ImageStream, LidarStream, Sweep, View
 from docdepth.datasets.point_times import nearest_rows
 from docdepth.errors import DatasetError
 
 _Stream = TypeVar("_Stream", CameraStream, ImageStream)
 
 
-class FrameRange(DatasetRepr):
+class FrameRange(View):
     """Sweeps A to B - 1 of a recording, and the images that were taken meanwhile.
 
     Files keep their names. A sweep that is left out is as if it had not been recorded, and so are
@@ -42,11 +35,6 @@ class FrameRange(DatasetRepr):
     without_images : mapping of str to collection of str
         Names of images that are left out, by camera.
 
-    Attributes
-    ----------
-    indices : list of int
-        Of its sweeps in the whole recording.
-
     Raises
     ------
     DatasetError
@@ -60,44 +48,29 @@ class FrameRange(DatasetRepr):
         without: Collection[int] = (),
         without_images: Mapping[str, Collection[str]] | None = None,
     ) -> None:
-        self.whole, self._without, self._without_images = whole, without, without_images or {}
+        super().__init__(whole)
+        self._without, self._without_images = without, without_images or {}
         part = [k for k in _parse(frames, len(whole), whole.path) if k not in without]
         if not part:
             raise DatasetError(f"{whole.path}: every sweep is broken; copy the recording again")
         self.indices = part
-        self.name: str = whole.name
-        self.path: Path = whole.path
-        self.times: NDArray[np.int64] = whole.times[part]
-        # Loaders keep poses of some sweeps under this name; a part may have them all.
-        poses = whole.poses if whole.poses is not None else getattr(whole, "partial_poses", None)
-        own: NDArray[np.float64] | None = None if poses is None else poses[part]
-        self.poses = own if own is not None and np.isfinite(own).all() else None
+        self.times = whole.times[part]
         self.cameras = {name: self.part_of(stream) for name, stream in whole.cameras.items()}
 
-    def __len__(self) -> int:
-        return len(self.indices)
-
     @cached_property
-    def lidars(self) -> dict[str, LidarStream]:
-        """The LiDARs of the recording, cut to the range."""
-        return {name: self._part_of_lidar(lidar) for name, lidar in self.whole.lidars.items()}
+    def partial_poses(self) -> NDArray[np.float64] | None:
+        """Poses of the part, which may have them all where the whole recording has not."""
+        known = super().partial_poses
+        return None if known is None else known[self.indices]
 
     def sweep(self, index: int) -> Sweep:
         """Sweep ``index`` of the range."""
-        return self._first if index == 0 else self.whole.sweep(self.indices[index])
+        return self._first if index == 0 else super().sweep(index)
 
     @cached_property
     def _first(self) -> Sweep:
         """Kept, since each stage asks it whether sweeps have times and where rays begin."""
-        return self.whole.sweep(self.indices[0])
-
-    def sweep_files(self, index: int) -> list[Path]:
-        """The files of sweep ``index`` of the range."""
-        return self.whole.sweep_files(self.indices[index])
-
-    def labels(self, index: int) -> NDArray[np.uint32] | None:
-        """Labels of sweep ``index`` of the range; None without a file."""
-        return self.whole.labels(self.indices[index])
+        return super().sweep(0)
 
     def part_of(self, stream: _Stream) -> _Stream:
         """A camera of the recording, cut to a sweep before the first and after the last one."""
@@ -115,7 +88,7 @@ class FrameRange(DatasetRepr):
             images=[stream.images[k] for k in kept] if stream.images else [],
         )
 
-    def _part_of_lidar(self, lidar: LidarStream) -> LidarStream:
+    def _lidar(self, lidar: LidarStream) -> LidarStream:
         if np.array_equal(lidar.times, self.whole.times):
             kept = np.array(self.indices)
         else:
@@ -156,11 +129,11 @@ def image_streams(recording: Dataset) -> dict[str, ImageStream]:
     if isinstance(recording, FrameRange):
         streams = image_streams(recording.whole)
         return {name: recording.part_of(stream) for name, stream in streams.items()}
+    if isinstance(recording, View):
+        return image_streams(recording.whole)
     found = {
-        name: ImageStream(
-            name, s.times, s.names, s.images, s.camera, s.distortion, s.model
-        )
+        name: ImageStream(name, s.times, s.names, s.images, s.camera, s.distortion, s.model)
         for name, s in recording.cameras.items()
         if s.images
-    }  # fmt: skip
+    }
     return found | getattr(recording, "uncalibrated", {})

@@ -1,86 +1,79 @@
-"""Files that KITTI's raw and odometry recordings share: sweeps, labels, calibration, images."""
+"""Files that KITTI's raw and odometry recordings share: sweeps, calibration, images."""
 
 from __future__ import annotations
 
 import re
-import stat
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import nullcontext, suppress
+from collections.abc import Iterable, Sequence
+from contextlib import nullcontext
 from decimal import Decimal
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets import kitti_lidar
-from docdepth.datasets.base import DatasetRepr, LidarStream
-from docdepth.datasets.files import (
-    is_there,
-    read_bytes,
-    read_image,
-    read_lines,
-    settings_file,
-    unreadable,
-)
+from docdepth.datasets.base import LidarStream
+from docdepth.datasets.cloud import Cloud, FileLidar, packed, read_rows
+from docdepth.datasets.files import read_bytes, read_image, read_lines
 from docdepth.datasets.point_format import foreign_format
-from docdepth.datasets.readable_frames import (
-    are_broken_frames_tolerated,
-    first_readable,
-    readable,
-    suggest_skipping,
-)
-from docdepth.errors import CalibrationError, Collector, DatasetError
+from docdepth.datasets.readable_frames import first_readable, suggest_skipping
+from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.se3 import are_rotations, nearest_rotation, poses_from
 
-_POINT_BYTES = 16  # x y z reflectance, float32
+_ROWS = packed(x="f4", y="f4", z="f4", reflectance="f4")
 _NUMBER = re.compile(r"([0-9]+(?:\.[0-9]+)?)")
 _LEVER_ARM = 10.0  # metres between LiDAR and camera; on a lorry it is five
 
 
-def find_sweeps(folder: Path, problems: Collector) -> list[Path]:
-    """The ``*.bin`` sweeps of a folder in the order of :func:`in_order`.
+def find_sweeps(folder: Path) -> tuple[list[Path], list[DatasetError]]:
+    """The ``*.bin`` sweeps of a folder in the order of :func:`in_order`, and what is broken.
 
-    Broken sweeps are added to the problems: an error now is better than one an hour into the run.
-    Many of a kind are one problem.
+    The sizes of all are looked at, and the numbers of the first: an error now is better than one an
+    hour into the run. Many broken sweeps are one problem.
+
+    Raises
+    ------
+    DatasetError
+        There are none, none is whole, or they are of another format.
     """
     files = in_order(folder.glob("*.bin"))
-    with problems.collected():
-        if not files:
-            raise DatasetError(f"{folder} holds no sweeps (*.bin); unpack the velodyne data there")
-    if are_broken_frames_tolerated():
-        if files:
-            with problems.collected():
-                readable(lambda k: _check_sweep(files[k], k), [0], len(files))
-        return files
-    sizes = np.array([_file_size(file) for file in files], np.int64)
-    kinds = (sizes < 0, sizes == 0, (sizes > 0) & (sizes % _POINT_BYTES > 0))
-    for frames in (np.flatnonzero(kind).tolist() for kind in kinds):
-        few = suggest_skipping if 2 * len(frames) <= len(files) else nullcontext
-        with problems.collected(), few():
-            if frames:
-                first = frames[0]
-                error = _bad_size(files[first], first, int(sizes[first]))
-                raise _with_more(error, len(frames) - 1)
-    if not problems.errors:
-        with problems.collected():
-            _check_format(files[0], 0)
-    return files
+    if not files:
+        raise DatasetError(f"{folder} holds no sweeps (*.bin); unpack the velodyne data there")
+    frames = [k for k, file in enumerate(files) if _is_broken(file)]
+    whole = next((k for k in range(len(files)) if k not in frames), None)
+    if whole is not None:
+        _check_format(files[whole], whole)
+    if not frames:
+        return files, []
+    few = suggest_skipping if 2 * len(frames) <= len(files) else nullcontext
+    more = f" (and {len(frames) - 1} more sweeps)" if len(frames) > 1 else ""
+    broken: list[DatasetError] = []
+    try:
+        with few():
+            _check_format(files[frames[0]], frames[0])
+            read_sweep(files[frames[0]], f"{files[frames[0]]} (frame {frames[0]})")
+    except DatasetError as error:
+        broken.append(DatasetError(f"{error.text}{more}", error.remedy))
+        if whole is None:
+            raise broken[0] from None
+    return files, broken
 
 
-def lidars(
+def lidars_of(
     sweeps: Sequence[Path],
     times: NDArray[np.int64],
     more: Sequence[tuple[Path, NDArray[np.float64]]] = (),
-) -> dict[str, LidarStream]:
+) -> list[FileLidar]:
     """LiDARs that measure together: the first, and folder and ``T_lidar_sensor`` of the others."""
     names = [file.stem for file in sweeps]
-    first = sweeps[0].parent if sweeps else Path("velodyne")
-    if first.name == "data":  # velodyne_points/data of KITTI raw
-        first = first.parent
-    every = [(first, np.eye(4)), *more]
-    return {folder.name: LidarStream(folder.name, times, names, T) for folder, T in every}
+    first = sweeps[0].parent
+    first = first.parent if first.name == "data" else first  # velodyne_points/data of KITTI raw
+    found = [FileLidar(LidarStream(first.name, times, names), list(sweeps), read_sweep)]
+    for folder, T in more:
+        stream = LidarStream(folder.name, times, names, T)
+        found.append(FileLidar(stream, [folder / file.name for file in sweeps], read_sweep))
+    return found
 
 
 def in_order(files: Iterable[Path]) -> list[Path]:
@@ -102,73 +95,29 @@ def _is_number(text: str) -> bool:
     return text.isascii() and text.isdigit()
 
 
-def read_sweep(file: Path, frame: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Read all rows of a sweep: points (N, 3) in metres and intensities (N,), float32."""
-    if not file.exists() and not file.is_symlink():
-        raise DatasetError(f"{file} (frame {frame}) has gone; put the sweep back")
-    content = read_bytes(file, "put the sweep back")
-    if not content or len(content) % _POINT_BYTES:
-        raise _bad_size(file, frame, len(content))
-    rows = np.frombuffer(content, "<f4").reshape(-1, 4)
-    return rows[:, :3].astype(np.float32), rows[:, 3].astype(np.float32)
+def read_sweep(file: Path, where: str) -> Cloud:
+    """Read all rows of a sweep."""
+    rows = read_rows(file, where, _ROWS, "copy the sweep again").view("<f4").reshape(-1, 4)
+    return Cloud(rows[:, :3].astype(np.float32), rows[:, 3].astype(np.float32))
 
 
-def _check_sweep(file: Path, frame: int) -> None:
-    read_sweep(file, frame)
-    _check_format(file, frame)
-
-
-def _file_size(file: Path) -> int:
-    """Bytes of a file; negative if there is none."""
+def _is_broken(file: Path) -> bool:
+    """Whether a file is missing, empty or cut off within a row."""
     try:
-        status = file.stat()
+        size = file.stat().st_size if file.is_file() else 0
     except OSError:
-        return -1
-    return status.st_size if stat.S_ISREG(status.st_mode) else -1
-
-
-def _bad_size(file: Path, frame: int, size: int) -> DatasetError:
-    if size < 0:
-        return unreadable(file, "put the sweep back")
-    if size == 0:
-        return DatasetError(f"{file} (frame {frame}) is empty; copy the sweep again or remove it")
-    try:
-        _check_format(file, frame)
-    except DatasetError as error:
-        return error
-    return DatasetError(
-        f"{file} (frame {frame}) has {size} bytes, which is not a multiple of {_POINT_BYTES} "
-        "(x y z reflectance): it is truncated or no KITTI sweep; copy it again"
-    )
+        size = 0
+    return size == 0 or size % _ROWS.itemsize > 0
 
 
 def _check_format(file: Path, frame: int) -> None:
     """Refuse a sweep whose rows are clearly of another format."""
-    other = foreign_format(read_bytes(file, "put the sweep back"))
+    other = foreign_format(read_bytes(file, "put the sweep back", f"{file} (frame {frame})"))
     if other:
         raise DatasetError(
             f"{file} (frame {frame}) looks like {other}; docdepth reads x y z reflectance as "
             "4 float32; convert it"
         )
-
-
-def _with_more(error: DatasetError, more: int) -> DatasetError:
-    return DatasetError(f"{error} (and {more} more sweeps)") if more else error
-
-
-def read_labels(file: Path, sweeps: Sequence[Path], frame: int) -> NDArray[np.uint32] | None:
-    """SemanticKITTI labels, uint32 (N,), of a sweep of one or more LiDARs; None without a file."""
-    if not is_there(file):
-        return None
-    content = read_bytes(file, "copy the labels again")
-    size = len(content)
-    points = sum(sweep.stat().st_size // _POINT_BYTES for sweep in sweeps)
-    if size != 4 * points:
-        raise DatasetError(
-            f"{file} (frame {frame}) has {size} bytes for a sweep of {points} points; "
-            "labels are one uint32 for each point, in the order of the sweep"
-        )
-    return np.frombuffer(content, "<u4").astype(np.uint32)
 
 
 def match_rows(files: Sequence[Path], count: int, table: Path, what: str) -> NDArray[np.int64]:
@@ -317,36 +266,3 @@ def image_size(files: Sequence[Path]) -> tuple[int, int]:
     """Width and height of the first image in pixels."""
     image = first_readable(partial(read_image, flags=cv2.IMREAD_UNCHANGED), files)
     return image.shape[1], image.shape[0]
-
-
-class KittiSweeps(DatasetRepr):
-    """What raw drives and sequences share: sweeps ``*.bin`` and labels beside them."""
-
-    path: Path
-    _sweeps: list[Path]
-    _ego_boxes: list[list[float]]
-
-    def __len__(self) -> int:
-        return len(self._sweeps)
-
-    def sweep_files(self, index: int) -> list[Path]:
-        """All files of sweep ``index``, and the one that masks some of it."""
-        masks = [settings_file(self.path)] if self._ego_boxes else []
-        return self._lidar_files(index) + masks
-
-    def labels(self, index: int) -> NDArray[np.uint32] | None:
-        """Labels of every point of sweep ``index``; None without a file."""
-        file = self.path / "labels" / f"{self._sweeps[index].stem}.label"
-        return read_labels(file, self._lidar_files(index), index)
-
-    def _lidar_files(self, index: int) -> list[Path]:
-        return [self._sweeps[index]]
-
-    @cached_property
-    def _is_kitti_lidar(self) -> bool:
-        return kitti_lidar.is_kitti_lidar(self._readable_points())
-
-    def _readable_points(self) -> Iterator[NDArray[np.float32]]:
-        for k, file in enumerate(self._sweeps):
-            with suppress(DatasetError):
-                yield read_sweep(file, k)[0]

@@ -7,7 +7,7 @@ where the vehicle stood or where the satellites were lost.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from decimal import Decimal, InvalidOperation
 from math import isfinite
 from pathlib import Path
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.files import read_lines
+from docdepth.datasets.files import is_there, read_lines
 from docdepth.errors import DatasetError, InputError
 from docdepth.geometry.se3 import (
     check_rigid,
@@ -88,6 +88,45 @@ def read_pose_table(
         raise DatasetError(f"{file} holds no poses; {remedy}")
     increasing, first = np.unique(np.array(stamps, np.int64), return_index=True)
     return increasing, np.array(rows, np.float64)[first]
+
+
+def read_table_poses(
+    file: Path,
+    columns: tuple[int, ...],
+    remedy: str,
+    times: NDArray[np.int64],
+    poses_of: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    unit: int = 1,
+) -> NDArray[np.float64] | None:
+    """Poses of a table at the times of the sweeps; NaN where they are not known.
+
+    Parameters
+    ----------
+    file : Path
+    columns, remedy
+        As of :func:`read_pose_table`.
+    times : ndarray of int64, shape (n,)
+        Nanoseconds of the sweeps.
+    poses_of : callable
+        Makes ``T_world_lidar`` (m, 4, 4) of rows of the table.
+    unit : int
+        Nanoseconds of a count of its stamps.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, 4, 4), or None
+        None if there is no such file.
+
+    Raises
+    ------
+    DatasetError
+        The file cannot be read, or is of another recording.
+    """
+    if not is_there(file):
+        return None
+    stamps, rows = read_pose_table(file, columns, remedy)
+    stamps, rows = rows_around(stamps * unit, rows, times)
+    return poses_at(stamps, poses_of(rows), times, file)
 
 
 def _whole(word: str) -> int:

@@ -4,30 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from contextvars import ContextVar
 from typing import TypeVar
 
 from docdepth.errors import DatasetError, DocDepthError
 
 _File = TypeVar("_File")
 _Read = TypeVar("_Read")
-_tolerant = ContextVar("tolerant", default=False)
 _MOST_TRIES = 100  # sweeps or images that are tried in place of a broken one
-
-
-@contextmanager
-def broken_frames_tolerated() -> Iterator[None]:
-    """Inside, recordings open though sweeps or images are broken; reading these still fails."""
-    token = _tolerant.set(True)
-    try:
-        yield
-    finally:
-        _tolerant.reset(token)
-
-
-def are_broken_frames_tolerated() -> bool:
-    """Whether a recording opens though sweeps or images are broken."""
-    return _tolerant.get()
 
 
 @contextmanager
@@ -40,18 +23,23 @@ def suggest_skipping() -> Iterator[None]:
 
 
 def first_readable(read: Callable[[_File], _Read], files: Sequence[_File]) -> _Read:
-    """What ``read`` gives for the first file, or the first whole one where this is tolerated.
+    """What ``read`` gives for the first whole file.
 
     Raises
     ------
     DocDepthError
-        The first file cannot be read.
+        None can be read.
     """
     return next(iter(readable(lambda k: read(files[k]), [0], len(files)).values()))
 
 
-def readable(read: Callable[[int], _Read], wanted: Iterable[int], count: int) -> dict[int, _Read]:
-    """What ``read`` gives for some frames; where broken ones are tolerated, for frames near these.
+def readable(
+    read: Callable[[int], _Read],
+    wanted: Iterable[int],
+    count: int,
+    broken: list[DocDepthError] | None = None,
+) -> dict[int, _Read]:
+    """What ``read`` gives for some frames, or for frames near those that are broken.
 
     Parameters
     ----------
@@ -59,6 +47,8 @@ def readable(read: Callable[[int], _Read], wanted: Iterable[int], count: int) ->
     wanted : iterable of int
     count : int
         Frames that there are.
+    broken : list of DocDepthError, optional
+        Gets the errors of those that were wanted.
 
     Returns
     -------
@@ -68,19 +58,23 @@ def readable(read: Callable[[int], _Read], wanted: Iterable[int], count: int) ->
     Raises
     ------
     DocDepthError
-        A frame cannot be read.
+        That of a wanted frame, if none around it can be read.
     """
     found: dict[int, _Read] = {}
     for index in wanted:
         around = range(max(index - _MOST_TRIES, 0), min(index + _MOST_TRIES + 1, count))
-        near = sorted(around, key=lambda k, index=index: abs(k - index))  # type: ignore[misc]
-        for tried, other in enumerate(near):
+        problem: DocDepthError | None = None
+        for _, other in sorted((abs(k - index), k) for k in around):
             if other in found:
                 break
             try:
                 found[other] = read(other)
                 break
-            except DocDepthError:
-                if not _tolerant.get() or tried + 1 == len(near):
-                    raise
+            except DocDepthError as error:
+                problem = problem or error
+        else:
+            if problem is not None:
+                raise problem
+        if problem is not None and broken is not None:
+            broken.append(problem)
     return dict(sorted(found.items()))

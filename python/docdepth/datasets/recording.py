@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,13 +21,11 @@ from docdepth.datasets.base import (
     without_ego,
 )
 from docdepth.datasets.cloud import Cloud, LidarReader
-from docdepth.datasets.files import settings_file
+from docdepth.datasets.files import is_there, read_bytes
 from docdepth.datasets.point_times import (
     USUAL_PERIOD,
-    Instant,
     PointTimes,
     TimeSample,
-    Unit,
     find_point_times,
     median_period,
     nearest_rows,
@@ -35,49 +33,20 @@ from docdepth.datasets.point_times import (
 from docdepth.datasets.pose_tables import whole_poses
 from docdepth.datasets.readable_frames import readable
 from docdepth.datasets.resampled import ResampledLidar, joined_columns, resample
-from docdepth.errors import DatasetError
+from docdepth.datasets.settings import RecordingSettings
+from docdepth.errors import DatasetError, DocDepthError
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.sensor_rig import SensorRig
 
 log = logging.getLogger(__name__)
 
+Poses = NDArray[np.float64] | None
+
 _TOGETHER = 0.75  # of a sweep: LiDARs whose stamps are farther apart did not measure together
 
 
-@dataclass(frozen=True)
-class RecordingOptions:
-    """What files may not tell of a recording; ``docdepth.yaml`` does.
-
-    Attributes
-    ----------
-    motion_compensated : bool, optional
-        None: not said, taken as False.
-    sensor_origin : tuple of float, optional
-        Where the rays of a single LiDAR begin, metres in the frame of its points.
-    unit, instant : str, optional
-        Of the times of points, see :func:`~.point_times.find_point_times`.
-    world : bool
-        Points are in the frame of the poses; they are brought to the LiDAR frame.
-    ego_boxes : sequence of six numbers
-        Boxes around the vehicle itself, see :func:`~.base.without_ego`.
-    sweep_duration : float, optional
-        Seconds of a sweep: those of the recording are joined or cut, see :mod:`.resampled`.
-    up : tuple of float, optional
-        Direction that points up, LiDAR frame.
-    """
-
-    motion_compensated: bool | None = None
-    sensor_origin: tuple[float, float, float] | None = None
-    unit: Unit | None = None
-    instant: Instant | None = None
-    world: bool = False
-    ego_boxes: Sequence[Sequence[float]] = ()
-    sweep_duration: float | None = None
-    up: tuple[float, float, float] | None = None
-
-
-class _Part(NamedTuple):
+class Part(NamedTuple):
     """The points of one LiDAR in the frame of the sweep, and nanoseconds since its stamp."""
 
     number: int
@@ -100,19 +69,30 @@ class Recording(DatasetRepr):
     path : Path
     lidars : sequence of LidarReader
     cameras : dict of CameraStream
-    poses : ndarray of float64, shape (n, 4, 4), optional
-        ``T_world_lidar`` of each sweep; NaN where it is not known, which is kept as
-        ``partial_poses`` for ranges of frames.
-    options : RecordingOptions
+    poses : ndarray of float64, shape (n, 4, 4), or callable, optional
+        ``T_world_lidar`` of each sweep, or what reads them; NaN where it is not known.
+    settings : RecordingSettings
+        What files may not tell; ``docdepth.yaml`` does.
+    world : bool
+        Points are in the frame of the poses; they are brought to the LiDAR frame.
     uncalibrated : dict of ImageStream
         Cameras whose K or place is not known; ``docdepth calibrate`` finds it.
-    labels : callable, optional
-        ``labels(index)`` gives the labels of a sweep, uint32 (N,), or None.
+    labels : Path, optional
+        Folder of labels ``NAME.label`` of the sweeps.
+
+    Attributes
+    ----------
+    up : tuple of float, optional
+        Direction that points up, LiDAR frame.
+    masks : dict
+        Of cameras, see :func:`~.settings.camera_mask`.
+    broken : list of DocDepthError
+        Of sweeps that were tried when the recording was opened; others were taken in their place.
 
     Raises
     ------
     DatasetError
-        There is no sweep, or one that was tried cannot be read.
+        There is no sweep, or none can be read.
     """
 
     def __init__(
@@ -121,28 +101,40 @@ class Recording(DatasetRepr):
         path: Path,
         lidars: Sequence[LidarReader],
         cameras: dict[str, CameraStream],
-        poses: NDArray[np.float64] | None = None,
-        options: RecordingOptions | None = None,
-        labels: Callable[[int], NDArray[np.uint32] | None] | None = None,
+        poses: Poses | Callable[[], Poses] = None,
+        settings: RecordingSettings | None = None,
+        world: bool = False,
         uncalibrated: dict[str, ImageStream] | None = None,
+        labels: Path | None = None,
     ) -> None:
         self.name, self.path, self.cameras = name, path, cameras
         self.uncalibrated = uncalibrated or {}
-        self._labels = labels
-        self._options = options or RecordingOptions()
-        if len(lidars) > 1 and self._options.sensor_origin is not None:
+        self._label_folder, self._world = labels, world
+        self._settings = settings or RecordingSettings()
+        if len(lidars) > 1 and self._settings.sensor_origin is not None:
             raise DatasetError(
                 f"{path}: sensor_origin is of one LiDAR, but there are {len(lidars)}, whose places "
                 "are known; leave it out of docdepth.yaml"
             )
-        self.up = self._options.up
-        self._take(lidars, poses)
-        if self._options.sweep_duration is not None:
-            self._resample(self._options.sweep_duration, poses)
+        self.up, self.masks = self._settings.up, self._settings.camera_masks()
+        self.broken: list[DocDepthError] = []
+        self._poses = poses
+        self._take(lidars)
+        if self._settings.sweep_duration is not None:
+            self._resample(self._settings.sweep_duration)
 
-    def _take(self, lidars: Sequence[LidarReader], poses: NDArray[np.float64] | None) -> None:
+    @cached_property
+    def partial_poses(self) -> Poses:
+        """``T_world_lidar`` (n, 4, 4), NaN for sweeps without a pose; None without any."""
+        return self._poses() if callable(self._poses) else self._poses
+
+    @cached_property
+    def poses(self) -> Poses:
+        """``T_world_lidar`` (n, 4, 4) if every sweep has a pose."""
+        return whole_poses(self.partial_poses, self.path)
+
+    def _take(self, lidars: Sequence[LidarReader]) -> None:
         """All that follows from the sweeps of the LiDARs."""
-        self.partial_poses, self.poses = poses, whole_poses(poses, self.path)
         self.lidars = {lidar.stream.name: lidar.stream for lidar in lidars}
         self._readers: list[LidarReader] = list(lidars)
         self.times: NDArray[np.int64] = lidars[0].stream.times
@@ -150,28 +142,27 @@ class Recording(DatasetRepr):
             raise DatasetError(f"{self.path} holds no sweep of {lidars[0].stream.name}")
         self._period = median_period(self.times)
         self._partners = [self._find_partners(lidar.stream) for lidar in lidars[1:]]
-        self._point_times: list[PointTimes | None] = []
         self._is_kitti_lidar = False
+        self.point_times: list[PointTimes | None] = []
+        """How each LiDAR counts the times of its points; None where they are not known."""
         self._look_at_points()
 
-    def _resample(self, duration: float, poses: NDArray[np.float64] | None) -> None:
+    def _resample(self, duration: float) -> None:
         """Sweeps of this duration [s] in place of those of the recording."""
-        if self._options.motion_compensated or self._options.world:
+        if self._settings.motion_compensated or self._world:
             raise DatasetError(
                 f"{self.path}: sweep_duration joins sweeps as they were measured, but these are "
                 "motion compensated or in the world; leave it out of docdepth.yaml"
             )
-        lidars, poses = resample(self._readers, poses, duration, self._point_times, self.path)
-        self._options = replace(self._options, unit=None, instant=None)
-        self._take(lidars, poses)
+        lidars, self._poses = resample(
+            self._readers, self.partial_poses, duration, self.point_times, self.path
+        )
+        del self.partial_poses
+        self._settings = self._settings.model_copy(update={"point_time_unit": None, "stamp": None})
+        self._take(lidars)
 
     def __len__(self) -> int:
         return len(self.times)
-
-    @property
-    def point_times(self) -> list[PointTimes | None]:
-        """How each LiDAR counts the times of its points; None where they are not known."""
-        return list(self._point_times)
 
     def sweep(self, index: int) -> Sweep:
         """Sweep ``index`` of all LiDARs, every row of the recording."""
@@ -185,12 +176,12 @@ class Recording(DatasetRepr):
             self._readers[0].stream.names[index],
             int(self.times[index]),
             joined_columns([part.cloud.intensity for part in parts]),
-            self._relative_time(parts),
+            self._relative_time(index, parts),
             self._rig(parts),
-            self._options.motion_compensated or False,
+            self._settings.motion_compensated or False,
             joined_columns([part.cloud.ring for part in parts]),
         )
-        return without_ego(sweep, self._options.ego_boxes)
+        return without_ego(sweep, self._settings.ego_boxes)
 
     def sweep_files(self, index: int) -> list[Path]:
         """The files of sweep ``index`` of each LiDAR, and the one that masks some of it."""
@@ -198,18 +189,18 @@ class Recording(DatasetRepr):
         files = self._readers[0].files(index)
         for reader, partners in zip(self._readers[1:], self._partners, strict=True):
             files = files + (reader.files(int(partners[index])) if partners[index] >= 0 else [])
-        masks = [settings_file(self.path)] if self._options.ego_boxes else []
+        masks = [self._settings.file] if self._settings.ego_boxes else []
         return list(dict.fromkeys(files + masks))
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """Labels of every point of sweep ``index``; None without a file."""
         index, reader = range(len(self))[index], self._readers[0]
         if not isinstance(reader, ResampledLidar):
-            return self._measured_labels(index)
+            return self._measured_labels(index, reader)
         found = [
             None if labels is None else labels[piece.rows]
             for piece in reader.pieces(index)
-            for labels in [self._measured_labels(piece.index)]
+            for labels in [self._measured_labels(piece.index, reader.measured)]
         ]
         if len(self._readers) > 1 and joined_columns(found) is not None:
             raise DatasetError(
@@ -218,9 +209,21 @@ class Recording(DatasetRepr):
             )
         return joined_columns(found)
 
-    def _measured_labels(self, own: int) -> NDArray[np.uint32] | None:
+    def _measured_labels(self, own: int, measured: LidarReader) -> NDArray[np.uint32] | None:
         """Labels of a sweep as it was recorded."""
-        return None if self._labels is None else self._labels(own)
+        if self._label_folder is None:
+            return None
+        file = self._label_folder / f"{measured.stream.names[own]}.label"
+        if not is_there(file):
+            return None
+        labels = read_bytes(file, "copy the labels again")
+        whole = self.sweep(own) if measured is self._readers[0] else measured.read(own)
+        if len(labels) != 4 * len(whole.points):
+            raise DatasetError(
+                f"{file} (frame {own}) has {len(labels)} bytes for a sweep of {len(whole.points)} "
+                "points; labels are one uint32 for each point, in the order of the sweep"
+            )
+        return np.frombuffer(labels, "<u4").astype(np.uint32)
 
     def _find_partners(self, other: LidarStream) -> NDArray[np.int64]:
         """For each sweep the nearest one of another LiDAR; -1 where there is none."""
@@ -242,29 +245,28 @@ class Recording(DatasetRepr):
         for number, reader in enumerate(self._readers):
             stamps = reader.stream.times
             indices = sorted({0, len(stamps) // 2, len(stamps) - 1}) if len(stamps) else []
-            read = readable(reader.read, indices, len(stamps))
-            indices, clouds = list(read), list(read.values())
-            points = [self._in_lidar_frame(c, k) for c, k in zip(clouds, indices, strict=True)]
-            if len(self._readers) == 1 and self._options.sensor_origin is None:
-                self._is_kitti_lidar = kitti_lidar.is_kitti_lidar(points)
+            clouds = readable(reader.read, indices, len(stamps), self.broken)
+            points = {k: self._in_lidar_frame(cloud, k) for k, cloud in clouds.items()}
+            if not number and self._settings.sensor_origin is None:
+                self._is_kitti_lidar = kitti_lidar.is_kitti_lidar(points.values())
             samples = [
-                TimeSample(cloud.times, usable_points(own), int(stamps[k]))
-                for cloud, own, k in zip(clouds, points, indices, strict=True)
+                TimeSample(cloud.times, usable_points(points[k]), int(stamps[k]))
+                for k, cloud in clouds.items()
                 if cloud.times is not None
             ]
             where = f"{self.path}, {reader.stream.name}" if number else str(self.path)
-            options = self._options
-            found = find_point_times(samples, self._period, where, options.unit, options.instant)
-            self._point_times.append(found)
-            if not samples and options.motion_compensated is None:
+            said = self._settings
+            found = find_point_times(samples, self._period, where, said.point_time_unit, said.stamp)
+            self.point_times.append(found)
+            if not samples and said.motion_compensated is None:
                 log.warning(
                     "%s: points have no times, so sweeps are not deskewed; say in docdepth.yaml "
                     "motion_compensated: true if they are already, else false",
                     where,
                 )
 
-    def _part(self, number: int, own: int, index: int) -> _Part:
-        reader, point_times = self._readers[number], self._point_times[number]
+    def _part(self, number: int, own: int, index: int) -> Part:
+        reader, point_times = self._readers[number], self.point_times[number]
         cloud, stream = reader.read(own), reader.stream
         points, relative = self._in_lidar_frame(cloud, own), None
         if cloud.times is not None and point_times is not None:
@@ -279,12 +281,12 @@ class Recording(DatasetRepr):
         if number:
             T = stream.T_lidar_sensor
             points = (points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
-        return _Part(number, cloud, points, relative, int(stream.times[own] - self.times[index]))
+        return Part(number, cloud, points, relative, int(stream.times[own] - self.times[index]))
 
     def _in_lidar_frame(self, cloud: Cloud, own: int) -> NDArray[np.float32]:
         """Points in the frame of the LiDAR that measured them, float32 (N, 3)."""
         points = cloud.points
-        if self._options.world:
+        if self._world:
             pose = cloud.T_world_lidar
             if pose is None:
                 if self.poses is None:
@@ -298,9 +300,10 @@ class Recording(DatasetRepr):
             points[(cloud.points == 0).all(axis=1)] = np.nan
         return np.ascontiguousarray(points, np.float32)
 
-    def _relative_time(self, parts: Sequence[_Part]) -> NDArray[np.float32] | None:
+    def _relative_time(self, index: int, parts: Sequence[Part]) -> NDArray[np.float32] | None:
+        """When each point of sweep ``index`` was measured, as shares of a sweep."""
         if len(parts) == 1 and parts[0].relative_time is None:
-            if self._options.motion_compensated and self._is_kitti_lidar:
+            if self._settings.motion_compensated and self._is_kitti_lidar:
                 return kitti_lidar.azimuth_relative_time(parts[0].points)
             return None
         if all(part.relative_time is None and part.late == 0 for part in parts):
@@ -312,12 +315,17 @@ class Recording(DatasetRepr):
             times.append(shares + np.float32(part.late / period) if part.late else shares)
         return np.concatenate(times)
 
-    def _rig(self, parts: Sequence[_Part]) -> SensorRig | None:
-        if len(self._readers) == 1:
-            points = parts[0].points
-            if self._options.sensor_origin is not None:
-                return SensorRig.single(self._options.sensor_origin, len(points))
-            return kitti_lidar.sensor_rig(points) if self._is_kitti_lidar else None
-        poses = np.stack([reader.stream.T_lidar_sensor for reader in self._readers])
-        numbers = np.array([part.number for part in parts], np.uint8)
-        return SensorRig(np.repeat(numbers, [len(part.points) for part in parts]), poses)
+    def _rig(self, parts: Sequence[Part]) -> SensorRig | None:
+        points, several = parts[0].points, len(self._readers) > 1
+        rig = None
+        if self._settings.sensor_origin is not None:
+            rig = SensorRig.single(self._settings.sensor_origin, len(points))
+        elif self._is_kitti_lidar:
+            rig = kitti_lidar.sensor_rig(points)
+        elif several:
+            rig = SensorRig.single((0, 0, 0), len(points))
+        counts = {part.number: len(part.points) for part in parts}
+        for number, reader in enumerate(self._readers[1:], start=1):
+            assert rig is not None
+            rig = rig.with_lidar(reader.stream.T_lidar_sensor, counts.get(number, 0))
+        return rig

@@ -6,6 +6,7 @@ import logging
 import os
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from typing import Literal
 
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.cloud_files import READERS
@@ -31,7 +32,7 @@ from docdepth.datasets.formats import (
 from docdepth.datasets.formats.bag import bag_recording
 from docdepth.datasets.formats.pcap import hesai, ouster, velodyne
 from docdepth.datasets.frame_range import FrameRange
-from docdepth.errors import DatasetError
+from docdepth.errors import DatasetError, raise_together
 
 log = logging.getLogger(__name__)
 
@@ -75,6 +76,7 @@ def open_dataset(
     dataset: str | None = None,
     image_size: tuple[int, int] | None = None,
     frames: str | None = None,
+    on_error: Literal["stop", "skip"] = "stop",
 ) -> Dataset:
     """Open a recording.
 
@@ -89,6 +91,9 @@ def open_dataset(
         Width and height of the images in pixels, if no file tells them.
     frames : str, optional
         ``A:B``, sweeps A to B - 1 alone; all if left out.
+    on_error : {"stop", "skip"}
+        Whether a recording is refused if sweeps are broken that are looked at to open it. Reading
+        these fails in any case.
 
     Raises
     ------
@@ -103,6 +108,8 @@ def open_dataset(
     try:
         place, found = _find_recording(path, wanted)
         recording = found.open(place, image_size)
+        if on_error == "stop":
+            raise_together(getattr(recording, "broken", ()))
         if found.experimental:
             log.warning(
                 "%s: the reader of %s is experimental: it was never tried on a real recording; "

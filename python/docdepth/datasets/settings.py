@@ -6,20 +6,29 @@ are errors, so that no word in it is ignored.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    ValidationError,
+    field_validator,
+)
 
-from docdepth.datasets.files import is_there, read_image, read_lines, settings_file
+from docdepth.datasets.files import FILE, is_there, read_image, read_lines, settings_file
 from docdepth.datasets.point_times import Instant, Unit
-from docdepth.datasets.recording import RecordingOptions
 from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.geometry.camera import Camera, camera_of
 from docdepth.geometry.se3 import check_rigid, nearest_rigid
+from docdepth.io.poses import read_poses_at
 from docdepth.io.yaml_json import parse_yaml
 
 _WHOLE = 1e-9  # of a rotation's numbers; larger errors come of missing digits
@@ -35,6 +44,7 @@ def _flat(value: Any) -> Any:
 
 
 Numbers = Annotated[list[float], BeforeValidator(_flat)]
+Mask = Path | list[tuple[float, float]]
 
 
 def _boxes(value: Any) -> Any:
@@ -114,7 +124,7 @@ class CameraSettings(Strict):
         return transform(self.T_camera_lidar, f"{where}: T_camera_lidar")
 
 
-class EgoSettings(Strict):
+class RecordingSettings(Strict):
     """What every recording takes.
 
     Attributes
@@ -125,10 +135,37 @@ class EgoSettings(Strict):
     masks : dict of str to (str or list of (float, float))
         Pixels of a camera that get no depth, such as those of the own bonnet: see
         :func:`camera_mask`.
+    motion_compensated : bool, optional
+        Whether the sweeps are deskewed already. None: not said, taken as False.
+    sensor_origin : (float, float, float), optional
+        Where the rays of a single LiDAR begin, metres in the frame of its points.
+    up : (float, float, float), optional
+        Direction that points up, in the frame of the points.
+    stamp : {"start", "middle", "end"}, optional
+        Which instant of a sweep its time is.
+    point_time_unit : {"s", "ms", "us", "ns"}, optional
+    sweep_duration : float, optional
+        Seconds. Sweeps of the recording are joined or cut to it by the times of their points.
+    poses : str, optional
+        File of LiDAR poses; or ``viewpoint``, those in the headers of PCD files; or a topic of
+        a bag: odometry, poses, a path, or transforms.
     """
 
     ego_boxes: Annotated[list[Numbers], BeforeValidator(_boxes)] = Field(default_factory=list)
     masks: dict[str, str | list[tuple[float, float]]] = Field(default_factory=dict)
+    motion_compensated: bool | None = None
+    sensor_origin: tuple[float, float, float] | None = None
+    up: tuple[float, float, float] | None = None
+    stamp: Instant | None = None
+    point_time_unit: Unit | None = None
+    sweep_duration: float | None = Field(None, ge=0.01, le=10)
+    poses: str | None = None
+    _file: Path = PrivateAttr(Path(FILE))
+
+    @property
+    def file(self) -> Path:
+        """Where the settings stand, or would stand."""
+        return self._file
 
     @field_validator("ego_boxes")
     @classmethod
@@ -141,24 +178,6 @@ class EgoSettings(Strict):
                     f"coordinates in metres; got {box}"
                 )
         return boxes
-
-
-class MountSettings(EgoSettings):
-    """What is known of the sweeps and of how the LiDAR stands.
-
-    Attributes
-    ----------
-    motion_compensated : bool, optional
-        Whether the sweeps are deskewed already.
-    sensor_origin : (float, float, float), optional
-        Where the rays of the LiDAR begin, metres in the frame of its points.
-    up : (float, float, float), optional
-        Direction that points up, in the frame of the points.
-    """
-
-    motion_compensated: bool | None = None
-    sensor_origin: tuple[float, float, float] | None = None
-    up: tuple[float, float, float] | None = None
 
     @field_validator("sensor_origin", mode="before")
     @classmethod
@@ -177,48 +196,28 @@ class MountSettings(EgoSettings):
             )
         return up
 
+    def poses_at(self, times: NDArray[np.int64]) -> NDArray[np.float64] | None:
+        """``T_world_lidar`` at the times of the sweeps, of the file ``poses``; None without it."""
+        return read_poses_at(self.file.parent / self.poses, times) if self.poses else None
 
-class RecordingSettings(MountSettings):
-    """Entries that formats without layouts of their own take.
-
-    Attributes
-    ----------
-    stamp : {"start", "middle", "end"}, optional
-        Which instant of a sweep its time is.
-    point_time_unit : {"s", "ms", "us", "ns"}, optional
-    sweep_duration : float, optional
-        Seconds. Sweeps of the recording are joined or cut to it by the times of their points.
-    poses : str, optional
-        File of LiDAR poses; or ``viewpoint``, those in the headers of PCD files; or a topic of
-        a bag: odometry, poses, a path, or transforms.
-    """
-
-    stamp: Instant | None = None
-    point_time_unit: Unit | None = None
-    sweep_duration: float | None = Field(None, ge=0.01, le=10)
-    poses: str | None = None
-
-    def options(self, world: bool = False) -> RecordingOptions:
-        """What a recording wants to know of it."""
-        return RecordingOptions(
-            self.motion_compensated,
-            self.sensor_origin,
-            self.point_time_unit,
-            self.stamp,
-            world,
-            self.ego_boxes,
-            self.sweep_duration,
-            self.up,
-        )
+    def camera_masks(self) -> dict[str, Mask]:
+        """``masks``, files relative to the folder of the settings."""
+        return {
+            camera: self.file.parent / mask if isinstance(mask, str) else mask
+            for camera, mask in self.masks.items()
+        }
 
 
-_Settings = TypeVar("_Settings", bound=EgoSettings)
+_Settings = TypeVar("_Settings", bound=RecordingSettings)
 
 
 def read_settings(
-    recording: Path, model: type[_Settings], usual: dict[str, Any] | None = None
-) -> tuple[_Settings, Path]:
-    """The settings of a recording, and the file they stand in or would stand in.
+    recording: Path,
+    model: type[_Settings],
+    usual: Mapping[str, object] | None = None,
+    taken: Collection[str] | None = None,
+) -> _Settings:
+    """The settings of a recording.
 
     Parameters
     ----------
@@ -228,6 +227,8 @@ def read_settings(
         What the format takes.
     usual : dict, optional
         What entries are that are left out, where the format knows better than ``model``.
+    taken : collection of str, optional
+        Entries that the format takes, if not all of ``model``.
 
     Raises
     ------
@@ -235,34 +236,34 @@ def read_settings(
         The file is not YAML, or an entry is unknown or wrong.
     """
     file = settings_file(recording)
-    if not is_there(file):
-        return model.model_validate(usual or {}), file
+    given: Any = None
+    if is_there(file):
+        try:
+            given = parse_yaml("\n".join(read_lines(file, "write it again or remove it")))
+        except ValueError as error:
+            raise DatasetError(f"{file} is not YAML: {error}") from None
+    if not isinstance(given, dict | None):
+        raise DatasetError(f"{file}: write NAME: VALUE")
+    names = list(model.model_fields) if taken is None else list(taken)
+    unknown = [name for name in given or {} if name not in names]
+    entries = {name: value for name, value in (given or {}).items() if name in names}
+    reasons = []
     try:
-        given = parse_yaml("\n".join(read_lines(file, "write it again or remove it")))
-    except ValueError as error:
-        raise DatasetError(f"{file} is not YAML: {error}") from None
-    try:
-        known = {**(usual or {}), **given} if isinstance(given, dict) else given or usual or {}
-        settings = model.model_validate(known)
+        settings = model.model_validate({**(usual or {}), **entries})
     except ValidationError as error:
-        raise DatasetError(f"{file}: {_reasons(error, model)}") from None
-    return settings, file
+        reasons = _reasons(error)
+    if unknown:
+        reasons.append(
+            f"{', '.join(map(str, unknown))} {'is' if len(unknown) == 1 else 'are'} unknown; "
+            f"there are {', '.join(names)}"
+        )
+    if reasons:
+        raise DatasetError(f"{file}: {'; '.join(reasons)}")
+    settings._file = file
+    return settings
 
 
-def masks_of_recording(recording: Path) -> dict[str, Path | list[tuple[float, float]]]:
-    """The entry ``masks`` of the settings of a recording; files are relative to its folder."""
-    file = settings_file(recording)
-    if not is_there(file):
-        return {}
-    given = parse_yaml("\n".join(read_lines(file, "write it again or remove it")))
-    masks = EgoSettings(masks=given.get("masks") or {}).masks if isinstance(given, dict) else {}
-    return {
-        camera: file.parent / mask if isinstance(mask, str) else mask
-        for camera, mask in masks.items()
-    }
-
-
-def camera_mask(camera: Camera, mask: Path | list[tuple[float, float]]) -> NDArray[np.bool_]:
+def camera_mask(camera: Camera, mask: Mask) -> NDArray[np.bool_]:
     """Pixels of a camera that show the world, (height, width).
 
     Parameters
@@ -321,25 +322,18 @@ def transform(numbers: list[float] | None, where: str) -> NDArray[np.float64]:
     return nearest if np.abs(nearest - T).max() > _WHOLE else T
 
 
-def _reasons(error: ValidationError, model: type[EgoSettings]) -> str:
+def _reasons(error: ValidationError) -> list[str]:
     """What is wrong with entries of a model."""
-    unknown, reasons = [], []
+    reasons = []
     for one in error.errors():
         entry = ".".join(str(part) for part in one["loc"])
-        if one["type"] == "extra_forbidden" and len(one["loc"]) == 1:
-            unknown.append(entry)
-        elif one["type"] == "value_error":
+        if one["type"] == "value_error":
             reasons.append(str(one["ctx"]["error"]))
         elif one["type"] == "extra_forbidden":
             reasons.append(f"{entry} is unknown")
-        elif entry:
+        else:
             wanted = one["msg"].removesuffix(", unable to interpret input")
             for theirs, ours in _WORDS.items():
                 wanted = wanted.replace(theirs, ours)
             reasons.append(f"{entry} is {one['input']!r}: {wanted}")
-        else:
-            reasons.append("write NAME: VALUE")
-    if unknown:
-        names = ", ".join(unknown) + (" is" if len(unknown) == 1 else " are")
-        reasons.append(f"{names} unknown; there are {', '.join(model.model_fields)}")
-    return "; ".join(reasons)
+    return reasons

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from docdepth.datasets.base import CameraStream, Dataset, LidarStream, Sweep
+from docdepth.datasets.base import Dataset, LidarStream, Sweep, View
 from docdepth.datasets.merged_lidars import Place, lidar_ends, rig_in_order
-from docdepth.datasets.readable_frames import broken_frames_tolerated, readable
+from docdepth.datasets.readable_frames import readable
 from docdepth.geometry.ground_plane import GroundPlane, find_ground, level_turn
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.scan_mesh import share_in_triangles
@@ -49,7 +48,7 @@ def ground_of(
     return find_ground(clouds)
 
 
-class LevelledRecording:
+class LevelledRecording(View):
     """A recording with what was found of the mount of its LiDAR.
 
     Its LiDAR frame is turned so that z is up: points, poses, extrinsics of cameras and places of
@@ -73,38 +72,33 @@ class LevelledRecording:
     def __init__(
         self, tilted: Dataset, up: ArrayLike | None = None, sensor_origin: ArrayLike | None = None
     ) -> None:
-        self._tilted, self._up = tilted, up
+        super().__init__(tilted)
+        self._up = up
         places = np.array([] if sensor_origin is None else sensor_origin, np.float64).reshape(-1, 3)
         self._places: list[Place] = [(x, y, z) for x, y, z in places.tolist()]
         self._lidar_ends: dict[int, NDArray[np.intp]] = {}
-        self.name, self.path, self.times = tilted.name, tilted.path, tilted.times
         self.T_level_lidar = np.eye(4)
         if up is not None:
             self.T_level_lidar[:3, :3] = level_turn(up)
-        back = inverse(self.T_level_lidar)
-        partial = getattr(tilted, "partial_poses", None)
-        self.poses = None if tilted.poses is None else tilted.poses @ back
-        self.partial_poses = None if partial is None else partial @ back
-        self.uncalibrated = getattr(tilted, "uncalibrated", {})
-        self.cameras: dict[str, CameraStream] = {
-            name: replace(stream, T_camera_lidar=stream.T_camera_lidar @ back)
+        self._back = inverse(self.T_level_lidar)
+        self.cameras = {
+            name: replace(stream, T_camera_lidar=stream.T_camera_lidar @ self._back)
             for name, stream in tilted.cameras.items()
         }
 
-    def __len__(self) -> int:
-        return len(self._tilted)
-
     @cached_property
-    def lidars(self) -> dict[str, LidarStream]:
-        """The LiDARs of the recording; the first one leans in the turned frame."""
-        return {
-            name: replace(lidar, T_lidar_sensor=self.T_level_lidar @ lidar.T_lidar_sensor)
-            for name, lidar in self._tilted.lidars.items()
-        }
+    def partial_poses(self) -> NDArray[np.float64] | None:
+        """Poses of the turned frame."""
+        known = super().partial_poses
+        return None if known is None else known @ self._back
+
+    def _lidar(self, lidar: LidarStream) -> LidarStream:
+        """The first one leans in the turned frame."""
+        return replace(lidar, T_lidar_sensor=self.T_level_lidar @ lidar.T_lidar_sensor)
 
     def sweep(self, index: int) -> Sweep:
         """Sweep ``index``, turned."""
-        sweep = self._tilted.sweep(index)
+        sweep = super().sweep(index)
         if self._places and sweep.sensor_rig is None:
             sweep = replace(sweep, sensor_rig=self._rig(index, sweep.points))
         return sweep if self._up is None else self._turned(sweep, self._leans)
@@ -116,14 +110,6 @@ class LevelledRecording:
         if index not in self._lidar_ends:
             self._lidar_ends[index] = lidar_ends(points, self._places)
         return rig_in_order(self._places, self._lidar_ends[index])
-
-    def sweep_files(self, index: int) -> list[Path]:
-        """The files of sweep ``index``."""
-        return self._tilted.sweep_files(index)
-
-    def labels(self, index: int) -> NDArray[np.uint32] | None:
-        """Labels of sweep ``index``."""
-        return self._tilted.labels(index)
 
     def _turned(self, sweep: Sweep, leans: bool) -> Sweep:
         points = sweep.points.astype(np.float64) @ self.T_level_lidar[:3, :3].T
@@ -143,9 +129,7 @@ class LevelledRecording:
         """
         shares = np.zeros(2)
         wanted = sorted({int(k) for k in np.linspace(0, len(self) - 1, _SAMPLES)})
-        with broken_frames_tolerated():
-            sweeps = readable(self._tilted.sweep, wanted, len(self))
-        for sweep in sweeps.values():
+        for sweep in readable(self.whole.sweep, wanted, len(self)).values():
             usable = usable_points(sweep.points)
             for leans in (False, True):
                 turned = self._turned(sweep, leans)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from pydantic import Field
 from docdepth.datasets.base import CameraStream, ImageStream, LidarStream
 from docdepth.datasets.cloud import LidarReader
 from docdepth.datasets.kitti_files import image_files, image_size
-from docdepth.datasets.recording import Recording
+from docdepth.datasets.recording import Poses, Recording
 from docdepth.datasets.settings import CameraSettings, RecordingSettings
 from docdepth.datasets.times import read_times, times_of_files
 from docdepth.errors import CalibrationError, Collector, DatasetError
@@ -43,51 +43,32 @@ class CameraRecordingSettings(RecordingSettings):
     cameras: dict[str, YamlCamera] = Field(default_factory=dict)
 
 
-class LidarRecording(Recording):
-    """A recording of one LiDAR alone; its cameras are those that ``docdepth.yaml`` describes.
+def yaml_recording(
+    name: str,
+    path: Path,
+    lidars: Sequence[LidarReader],
+    poses: Poses | Callable[[], Poses],
+    settings: CameraRecordingSettings,
+    image_size: tuple[int, int] | None,
+) -> Recording:
+    """A recording whose cameras are those that ``docdepth.yaml`` describes.
 
     Parameters
     ----------
-    name : str
-        Of the format.
-    path : Path
-    lidar : LidarReader
-    poses : ndarray of float64, shape (n, 4, 4), optional
-        ``T_world_lidar`` of each sweep.
-    settings : CameraRecordingSettings
-    file : Path
-        Of the settings, for messages.
+    name, path, lidars, poses, settings
+        As of :class:`Recording`.
     image_size : (int, int), optional
         Width and height of cameras that are described without images.
     """
-
-    def __init__(
-        self,
-        name: str,
-        path: Path,
-        lidar: LidarReader,
-        poses: NDArray[np.float64] | None,
-        settings: CameraRecordingSettings,
-        file: Path,
-        image_size: tuple[int, int] | None,
-    ) -> None:
-        problems = Collector()
-        cameras, uncalibrated = yaml_cameras(
-            path, settings.cameras, lidar.stream, image_size, file, problems
-        )
-        problems.raise_errors()
-        super().__init__(
-            name, path, [lidar], cameras, poses, settings.options(), uncalibrated=uncalibrated
-        )
+    cameras, uncalibrated = yaml_cameras(path, settings, lidars[0].stream, image_size)
+    return Recording(name, path, lidars, cameras, poses, settings, uncalibrated=uncalibrated)
 
 
 def yaml_cameras(
     folder: Path,
-    described: Mapping[str, YamlCamera],
+    settings: CameraRecordingSettings,
     lidar: LidarStream,
     asked: tuple[int, int] | None,
-    file: Path,
-    problems: Collector,
 ) -> tuple[dict[str, CameraStream], dict[str, ImageStream]]:
     """The cameras that ``docdepth.yaml`` describes, and those that it does not describe whole.
 
@@ -95,25 +76,28 @@ def yaml_cameras(
     ----------
     folder : Path
         Of the recording; images and tables are relative to it.
-    described : dict of YamlCamera
+    settings : CameraRecordingSettings
     lidar : LidarStream
         Its sweeps may give the times.
     asked : (int, int), optional
         Width and height of cameras of which no more is known.
-    file : Path
-        Of the settings, for messages.
-    problems : Collector
-        Gets what is wrong.
+
+    Raises
+    ------
+    DatasetError, CalibrationError
+        Of all cameras together.
     """
     cameras: dict[str, CameraStream] = {}
     uncalibrated: dict[str, ImageStream] = {}
-    for name, camera in described.items():
+    problems = Collector()
+    for name, camera in settings.cameras.items():
         with problems.collected():
-            found = _camera(folder, name, camera, lidar, asked, f"{file}, {name}")
+            found = _camera(folder, name, camera, lidar, asked, f"{settings.file}, {name}")
             if isinstance(found, CameraStream):
                 cameras[name] = found
             else:
                 uncalibrated[name] = found
+    problems.raise_errors()
     return cameras, uncalibrated
 
 

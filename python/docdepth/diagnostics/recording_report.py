@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from docdepth.config import Parameters
 from docdepth.datasets import Dataset, FrameRange, Sweep, full_recording, usable_points
-from docdepth.datasets.recording import Recording
 from docdepth.diagnostics import recording_checks
 from docdepth.diagnostics.cameras import check_camera
 from docdepth.diagnostics.inspection import Inspection
@@ -102,9 +101,8 @@ def _look_at_sweeps(recording: Dataset, result: Inspection) -> None:
     shares = [row_shares(sweep.points) for sweep in sweeps]
     figures["rows"] = {name: max(s[name] for s in shares) for name in shares[0]}
     figures["point_times"] = time_figures(middle, period)
-    whole = full_recording(recording)
-    if figures["point_times"] is not None and isinstance(whole, Recording):
-        counts = [c for c in whole.point_times if c is not None]
+    counts = [c for c in getattr(full_recording(recording), "point_times", ()) if c is not None]
+    if figures["point_times"] is not None and counts:
         figures["point_times"]["counted"] = [
             {"from": count.origin, "unit_ns": count.unit, "shift_ns": count.shift}
             for count in counts

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,8 +21,8 @@ from docdepth.datasets import (
 )
 from docdepth.datasets.formats.docdepth_run import RunDataset
 from docdepth.datasets.images import read_image_of
-from docdepth.datasets.readable_frames import broken_frames_tolerated, first_readable
-from docdepth.datasets.settings import camera_mask, masks_of_recording
+from docdepth.datasets.readable_frames import first_readable
+from docdepth.datasets.settings import camera_mask
 from docdepth.datasets.times import read_times
 from docdepth.datasets.up_axis import LEVEL_DEG, LevelledRecording, ground_of
 from docdepth.diagnostics.sweeps import find_sensor_origin
@@ -111,11 +110,11 @@ def recording_of(run: RunFolder) -> Dataset:
 def _open_whole(inputs: RunInputs) -> Dataset:
     """The recording, with the calibration that the run was given."""
     size = parse_size(inputs.image_size)
-    with broken_frames_tolerated() if inputs.skips_broken else nullcontext():
-        recording = open_dataset(inputs.recording, inputs.dataset, size)
-        if inputs.calibration is not None:
-            stream = _calibrated(recording, inputs.calibration, inputs.camera or ())
-            recording.cameras[stream.name] = stream
+    on_error = inputs.on_error or "stop"
+    recording = open_dataset(inputs.recording, inputs.dataset, size, on_error=on_error)
+    if inputs.calibration is not None:
+        stream = _calibrated(recording, inputs.calibration, inputs.camera or ())
+        recording.cameras[stream.name] = stream
     return recording
 
 
@@ -282,7 +281,7 @@ def _with_masks(
     CalibrationError
         A mask is of a camera that is not there, or has another size than it.
     """
-    masks = masks_of_recording(recording.path)
+    masks = dict(getattr(recording, "masks", {}))
     for named in inputs.mask or ():
         camera, _, file = named.partition(":")
         masks[camera] = Path(file)

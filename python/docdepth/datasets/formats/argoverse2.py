@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
-from docdepth.datasets.cloud import Cloud, SweepFiles, cloud_from_fields, rows_of
-from docdepth.datasets.files import unreadable
+from docdepth.datasets.cloud import Cloud, FileLidar, cloud_from_fields, rows_of
+from docdepth.datasets.files import extra, unreadable
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import image_files, in_order
 from docdepth.datasets.pose_tables import pose_of
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.datasets.times import times_of_names
-from docdepth.errors import CalibrationError, DatasetError, MissingExtraError
+from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse
 
@@ -29,58 +31,45 @@ _DOWNLOAD = "download the log again"
 _COLUMNS = ("x", "y", "z", "intensity", "laser_number", "offset_ns")
 
 
-@dataclass(frozen=True)
-class ArgoverseLidar(SweepFiles):
-    """One of the two LiDARs of a log, whose sweeps are in one file; ``T_ego_sensor`` is (4, 4)."""
-
-    T_ego_sensor: NDArray[np.float64]
-
-    def read(self, index: int) -> Cloud:
-        """Own sweep ``index``, in the frame of the LiDAR."""
-        where = f"{self.sweeps[index]} (frame {index})"
-        table = read_feather(self.sweeps[index], where)
-        lacking = [name for name in _COLUMNS if name not in table]
-        if lacking:
-            raise DatasetError(f"{where} has no column {lacking[0]}; {_DOWNLOAD}")
-        first, end = _LIDARS[self.stream.name]
-        laser = table["laser_number"]
-        kept = (laser >= first) & (laser < end)
-        rows = rows_of({name: table[name][kept] for name in _COLUMNS})
-        cloud = cloud_from_fields(rows, where)
-        T = inverse(self.T_ego_sensor)
-        points = cloud.points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
-        return Cloud(points.astype(np.float32), cloud.intensity, cloud.ring, cloud.times)
+def read_sweep(
+    file: Path, where: str, lasers: tuple[int, int], T_ego_sensor: NDArray[np.float64]
+) -> Cloud:
+    """The points of one of the two LiDARs, whose sweeps are in one file, in its frame."""
+    table = read_feather(file, where)
+    lacking = [name for name in _COLUMNS if name not in table]
+    if lacking:
+        raise DatasetError(f"{where} has no column {lacking[0]}; {_DOWNLOAD}")
+    laser = table["laser_number"]
+    kept = (laser >= lasers[0]) & (laser < lasers[1])
+    cloud = cloud_from_fields(rows_of({name: table[name][kept] for name in _COLUMNS}), where)
+    T = inverse(T_ego_sensor)
+    points = cloud.points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
+    return replace(cloud, points=points.astype(np.float32))
 
 
-class Argoverse2(Recording):
-    """A log of Argoverse 2: two LiDARs on each other, nine cameras, poses.
+def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
+    """Two LiDARs on each other, nine cameras, poses.
 
     Sweeps are compensated for the motion of the vehicle, to the start of the sweep. The LiDAR frame
     has the axes of the vehicle and the place of the upper LiDAR.
-
-    Parameters
-    ----------
-    path : Path
-        The log, with ``sensors``, ``calibration`` and ``city_SE3_egovehicle.feather``.
     """
-
-    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
-        settings, _ = read_settings(path, RecordingSettings, {"motion_compensated": True})
-        sweeps = in_order((path / "sensors" / "lidar").glob("*.feather"))
-        remedy = "names are nanoseconds; download the log again"
-        times = times_of_names(sweeps, 1, remedy)
-        names = [file.stem for file in sweeps]
-        places = _places(path / "calibration" / "egovehicle_SE3_sensor.feather")
-        T_ego_lidar = np.eye(4)
-        T_ego_lidar[:3, 3] = places["up_lidar"][:3, 3]
-        lidars: list[ArgoverseLidar] = []
-        for name in _LIDARS:
-            T_ego_sensor = places[name] if lidars else T_ego_lidar
-            stream = LidarStream(name, times, names, _exact(inverse(T_ego_lidar) @ T_ego_sensor))
-            lidars.append(ArgoverseLidar(stream, sweeps, T_ego_sensor))
-        cameras = _cameras(path, places, T_ego_lidar, lidars[0].stream)
-        poses = _poses(path / "city_SE3_egovehicle.feather", times, names) @ T_ego_lidar
-        super().__init__("argoverse2", path, lidars, cameras, poses, settings.options())
+    settings = read_settings(path, RecordingSettings, {"motion_compensated": True})
+    sweeps = in_order((path / "sensors" / "lidar").glob("*.feather"))
+    remedy = "names are nanoseconds; download the log again"
+    times = times_of_names(sweeps, 1, remedy)
+    names = [file.stem for file in sweeps]
+    places = _places(path / "calibration" / "egovehicle_SE3_sensor.feather")
+    T_ego_lidar = np.eye(4)
+    T_ego_lidar[:3, 3] = places["up_lidar"][:3, 3]
+    lidars: list[FileLidar] = []
+    for name, lasers in _LIDARS.items():
+        T_ego_sensor = places[name] if lidars else T_ego_lidar
+        stream = LidarStream(name, times, names, _exact(inverse(T_ego_lidar) @ T_ego_sensor))
+        read = partial(read_sweep, lasers=lasers, T_ego_sensor=T_ego_sensor)
+        lidars.append(FileLidar(stream, sweeps, read))
+    cameras = _cameras(path, places, T_ego_lidar, lidars[0].stream)
+    poses = _poses(path / "city_SE3_egovehicle.feather", times, names) @ T_ego_lidar
+    return Recording("argoverse2", path, lidars, cameras, poses, settings)
 
 
 def read_feather(file: Path, where: str) -> dict[str, NDArray[Any]]:
@@ -93,13 +82,8 @@ def read_feather(file: Path, where: str) -> dict[str, NDArray[Any]]:
     MissingExtraError
         pyarrow is not installed.
     """
-    try:
-        import pyarrow
-        from pyarrow import feather
-    except ImportError:
-        raise MissingExtraError(
-            "Feather files need pyarrow: pip install 'docdepth[argoverse]'"
-        ) from None
+    feather = extra("pyarrow.feather", "Feather files need pyarrow", "argoverse")
+    pyarrow = import_module("pyarrow")
     if not file.is_file():
         raise unreadable(file, _DOWNLOAD)
     try:
@@ -183,5 +167,5 @@ FORMAT = Format(
     "a log of Argoverse 2 with sensors/lidar/*.feather, calibration and "
     "city_SE3_egovehicle.feather",
     _recognises,
-    Argoverse2,
+    _open,
 )

@@ -11,19 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
-from docdepth.datasets.cloud import Cloud, cloud_from_fields
+from docdepth.datasets.cloud import Cloud, cloud_from_fields, packed
 from docdepth.datasets.files import is_there, read_numbers
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import image_files, image_size
-from docdepth.datasets.pose_tables import (
-    poses_at,
-    poses_of_angles,
-    read_pose_table,
-    rows_around,
-)
+from docdepth.datasets.pose_tables import poses_of_angles, read_table_poses
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings, transform
-from docdepth.datasets.stamped_files import MICROSECOND, packed, stamped_lidar
+from docdepth.datasets.stamped_files import MICROSECOND, stamped_lidar
 from docdepth.datasets.times import times_of_names
 from docdepth.errors import CalibrationError
 from docdepth.geometry.camera import Camera
@@ -44,44 +39,27 @@ def turned(T_lidar_theirs: NDArray[np.float64], rows: NDArray[Any], where: str) 
     return replace(cloud, points=points.astype(np.float32))
 
 
-class Boreas(Recording):
-    """A sequence of Boreas: sweeps stamped at their middle, with times of points.
-
-    The LiDAR frame is turned to x ahead.
-
-    Parameters
-    ----------
-    path : Path
-        Folder ``boreas-YYYY-MM-DD-HH-MM`` with ``lidar``, ``calib``, and ``camera`` and
-        ``applanix`` if there are any.
-    image_size : (int, int), optional
-        Width and height of the images where none is there; else 2448 x 2048.
-    """
-
-    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
-        settings, _ = read_settings(path, RecordingSettings, {"motion_compensated": False})
-        T = _T_AHEAD_APPLANIX @ _transform(path / "calib" / "T_applanix_lidar.txt")
-        T[:3, 3] = 0
-        lidar = stamped_lidar("lidar", path / "lidar", MICROSECOND, _ROWS, partial(turned, T))
-        cameras = {}
-        if is_there(path / "calib" / "P_camera.txt"):
-            cameras["camera"] = _camera(path, lidar.stream, image_size or _SIZE, inverse(T))
-        poses = _poses(path / "applanix" / "lidar_poses.csv", lidar.stream.times, inverse(T))
-        super().__init__("boreas", path, [lidar], cameras, poses, settings.options())
+def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
+    """Sweeps stamped at their middle, with times of points; the LiDAR is turned to x ahead."""
+    settings = read_settings(path, RecordingSettings, {"motion_compensated": False})
+    T = _T_AHEAD_APPLANIX @ _transform(path / "calib" / "T_applanix_lidar.txt")
+    T[:3, 3] = 0
+    lidar = stamped_lidar("lidar", path / "lidar", MICROSECOND, _ROWS, partial(turned, T))
+    cameras = {}
+    if is_there(path / "calib" / "P_camera.txt"):
+        cameras["camera"] = _camera(path, lidar.stream, image_size or _SIZE, inverse(T))
+    poses = read_table_poses(
+        path / "applanix" / "lidar_poses.csv", (12,), "download applanix of the sequence again",
+        lidar.stream.times, lambda rows: _poses_enu(rows) @ inverse(T), MICROSECOND,
+    )  # fmt: skip
+    return Recording("boreas", path, [lidar], cameras, poses, settings)
 
 
-def _poses(
-    file: Path, times: NDArray[np.int64], T_theirs_lidar: NDArray[np.float64]
-) -> NDArray[np.float64] | None:
-    """``T_enu_lidar``; None without the file."""
-    if not is_there(file):
-        return None
-    stamps, rows = read_pose_table(file, (12,), "download applanix of the sequence again")
-    stamps, rows = rows_around(stamps * MICROSECOND, rows, times)
+def _poses_enu(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Boreas' roll, pitch and heading are those of the rotation from the world to the LiDAR."""
     poses = poses_of_angles(rows[:, :3], rows[:, 6:9])
-    # Boreas' roll, pitch and heading are those of the rotation from the world to the LiDAR.
     poses[:, :3, :3] = poses[:, :3, :3].transpose(0, 2, 1)
-    return poses_at(stamps, poses @ T_theirs_lidar, times, file)
+    return poses
 
 
 def _camera(
@@ -117,6 +95,6 @@ FORMAT = Format(
     "boreas",
     "a sequence boreas-YYYY-MM-DD-HH-MM with lidar/*.bin, calib and applanix/lidar_poses.csv",
     _recognises,
-    Boreas,
+    _open,
     experimental=True,
 )

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from docdepth.datasets.base import LidarStream
-from docdepth.datasets.cloud import Cloud, SweepFiles
+from docdepth.datasets.base import CameraStream, ImageStream, LidarStream
+from docdepth.datasets.cloud import FileLidar
 from docdepth.datasets.cloud_files import (
     KITTI_COLUMNS,
     READERS,
@@ -20,22 +21,14 @@ from docdepth.datasets.cloud_files import (
     read_cloud,
     read_viewpoint,
 )
-from docdepth.datasets.files import FILE, is_there, read_bytes
+from docdepth.datasets.files import FILE
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing, in_order
 from docdepth.datasets.recording import Recording
-from docdepth.datasets.resampled import ResampledLidar
-from docdepth.datasets.settings import (
-    Numbers,
-    RecordingSettings,
-    Strict,
-    read_settings,
-    transform,
-)
+from docdepth.datasets.settings import Numbers, Strict, read_settings, transform
 from docdepth.datasets.times import times_of_files
-from docdepth.datasets.yaml_cameras import YamlCamera, yaml_cameras
+from docdepth.datasets.yaml_cameras import CameraRecordingSettings, yaml_cameras
 from docdepth.errors import Collector, DatasetError
-from docdepth.io.poses import read_poses_at
 
 log = logging.getLogger(__name__)
 
@@ -62,7 +55,7 @@ class FolderLidar(Strict):
     T_lidar_sensor: Numbers | None = None
 
 
-class FolderSettings(RecordingSettings):
+class FolderSettings(CameraRecordingSettings):
     """What ``docdepth.yaml`` of a folder of clouds may say.
 
     Attributes
@@ -84,7 +77,6 @@ class FolderSettings(RecordingSettings):
         Folder of labels.
     lidars : dict
         Several LiDARs by name, instead of ``sweeps``; the first gives stamps and frame.
-    cameras : dict
     """
 
     sweeps: str | None = None
@@ -95,18 +87,6 @@ class FolderSettings(RecordingSettings):
     frame: Literal["lidar", "world"] = "lidar"
     labels: str = "labels"
     lidars: dict[str, FolderLidar] = Field(default_factory=dict)
-    cameras: dict[str, YamlCamera] = Field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class FileLidar(SweepFiles):
-    """A LiDAR whose sweeps are clouds of rows or of known suffixes."""
-
-    rows: RowFormat
-
-    def read(self, index: int) -> Cloud:
-        """Own sweep ``index``."""
-        return read_cloud(self.sweeps[index], index, self.rows)
 
 
 class CloudFolder(Recording):
@@ -129,48 +109,28 @@ class CloudFolder(Recording):
         path: Path,
         image_size: tuple[int, int] | None = None,
         name: str = "folder",
-        usual: dict[str, Any] | None = None,
+        usual: Mapping[str, object] | None = None,
     ) -> None:
-        settings, file = read_settings(path, FolderSettings, usual)
+        settings = read_settings(path, FolderSettings, usual)
+        file = settings.file
         if settings.lidars and (settings.sweeps or settings.times):
             raise DatasetError(f"{file}: sweeps and times are of one LiDAR, lidars of several")
         wanted = settings.lidars or {
             "lidar": FolderLidar(sweeps=settings.sweeps or ".", times=settings.times)
         }
-        rows = RowFormat(settings.columns, settings.dtype)
-        lidars = [
-            _lidar(path, one, lidar, rows, settings.rate, file) for one, lidar in wanted.items()
-        ]
-        problems = Collector()
-        cameras, uncalibrated = yaml_cameras(
-            path, settings.cameras, lidars[0].stream, image_size, file, problems
-        )
-        poses = None
+        lidars = [_lidar(path, one, lidar, settings) for one, lidar in wanted.items()]
+        problems, poses = Collector(), None
+        cameras: dict[str, CameraStream] = {}
+        uncalibrated: dict[str, ImageStream] = {}
         with problems.collected():
-            poses = _poses(path, settings.poses, lidars[0], file)
+            cameras, uncalibrated = yaml_cameras(path, settings, lidars[0].stream, image_size)
+        with problems.collected():
+            poses = _poses(settings, lidars[0])
         problems.raise_errors()
-        self._label_folder = path / settings.labels
-        if "labels" in settings.model_fields_set and not self._label_folder.is_dir():
-            raise DatasetError(f"{file}: there is no folder {self._label_folder} of labels")
-        options = settings.options(settings.frame == "world")
-        super().__init__(name, path, lidars, cameras, poses, options, uncalibrated=uncalibrated)
-
-    def _measured_labels(self, own: int) -> NDArray[np.uint32] | None:
-        """Labels of a sweep as it was recorded, of ``labels/NAME.label``, or None."""
-        reader = self._readers[0]
-        measured = reader.measured if isinstance(reader, ResampledLidar) else reader
-        file = self._label_folder / f"{measured.stream.names[own]}.label"
-        if not is_there(file):
-            return None
-        labels = read_bytes(file, "copy the labels again")
-        points = self.sweep(own).points if measured is reader else measured.read(own).points
-        count = len(points)
-        if len(labels) != 4 * count:
-            raise DatasetError(
-                f"{file} (frame {own}) has {len(labels)} bytes for a sweep of {count} points; "
-                "labels are one uint32 for each point, in the order of the sweep"
-            )
-        return np.frombuffer(labels, "<u4").astype(np.uint32)
+        labels, world = path / settings.labels, settings.frame == "world"
+        if "labels" in settings.model_fields_set and not labels.is_dir():
+            raise DatasetError(f"{file}: there is no folder {labels} of labels")
+        super().__init__(name, path, lidars, cameras, poses, settings, world, uncalibrated, labels)
 
 
 def cloud_files(folder: Path) -> list[Path]:
@@ -194,36 +154,29 @@ def cloud_files(folder: Path) -> list[Path]:
     return in_order(files)
 
 
-def _lidar(
-    folder: Path,
-    name: str,
-    settings: FolderLidar,
-    rows: RowFormat,
-    rate: float | None,
-    file: Path,
-) -> FileLidar:
-    sweeps = cloud_files(folder / settings.sweeps)
-    if rate:
+def _lidar(folder: Path, name: str, own: FolderLidar, settings: FolderSettings) -> FileLidar:
+    sweeps, file = cloud_files(folder / own.sweeps), settings.file
+    if settings.rate:
         numbered = all(sweep.stem.isascii() and sweep.stem.isdigit() for sweep in sweeps)
         numbers = [int(sweep.stem) if numbered else k for k, sweep in enumerate(sweeps)]
-        times = np.round(np.array(numbers) * 1e9 / rate).astype(np.int64)
+        times = np.round(np.array(numbers) * 1e9 / settings.rate).astype(np.int64)
         check_increasing(times, [sweep.name for sweep in sweeps], sweeps[0].parent)
     else:
         remedy = f"say times: FILE or rate: 10 (sweeps a second) in {file}"
-        times = times_of_files(sweeps, settings.times, folder, remedy)
+        times = times_of_files(sweeps, own.times, folder, remedy)
     T = np.eye(4)
-    if settings.T_lidar_sensor is not None:
-        T = transform(settings.T_lidar_sensor, f"{file}, {name}: T_lidar_sensor")
-    return FileLidar(LidarStream(name, times, [s.stem for s in sweeps], T), sweeps, rows)
+    if own.T_lidar_sensor is not None:
+        T = transform(own.T_lidar_sensor, f"{file}, {name}: T_lidar_sensor")
+    rows = RowFormat(settings.columns, settings.dtype)
+    stream = LidarStream(name, times, [sweep.stem for sweep in sweeps], T)
+    return FileLidar(stream, sweeps, partial(read_cloud, rows=rows))
 
 
-def _poses(
-    folder: Path, wanted: str | None, lidar: FileLidar, file: Path
-) -> NDArray[np.float64] | None:
+def _poses(settings: FolderSettings, lidar: FileLidar) -> NDArray[np.float64] | None:
     """Poses of a file, or of the sweeps' own headers; None without any."""
-    sweeps = lidar.sweeps
+    sweeps, wanted, file = lidar.sweeps, settings.poses, settings.file
     if wanted not in (None, VIEWPOINT):
-        return read_poses_at(folder / str(wanted), lidar.stream.times)
+        return settings.poses_at(lidar.stream.times)
     if sweeps[0].suffix.lower() != ".pcd":
         if wanted == VIEWPOINT:
             raise DatasetError(f"{file}: {sweeps[0]} is no PCD file and has no VIEWPOINT")
@@ -233,14 +186,14 @@ def _poses(
             log.warning(
                 "%s: PCD files hold poses (VIEWPOINT), which are not used; say poses: viewpoint, "
                 "and frame: world if their points are in the world, in %s",
-                folder, file,
+                sweeps[0].parent, file,
             )  # fmt: skip
         return None
     poses = np.stack([read_viewpoint(sweep, k) for k, sweep in enumerate(sweeps)])
     if len(poses) > 1 and (poses == np.eye(4)).all():
         raise DatasetError(
-            f"{folder}: VIEWPOINT is 0 0 0 1 0 0 0 in every file, which is no pose; say poses: "
-            f"FILE in {file}"
+            f"{sweeps[0].parent}: VIEWPOINT is 0 0 0 1 0 0 0 in every file, which is no "
+            f"pose; say poses: FILE in {file}"
         )
     return poses
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
-from docdepth.datasets.cloud import Cloud, cloud_from_fields, rows_of
+from docdepth.datasets.cloud import Cloud, FileLidar, cloud_from_fields, rows_of
 from docdepth.datasets.files import read_json
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing
@@ -54,75 +55,59 @@ class Datum:
     entry: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class DgpLidar:
-    """A sensor with point clouds."""
-
-    stream: LidarStream
-    data: list[Datum]
-
-    def read(self, index: int) -> Cloud:
-        """Own sweep ``index``."""
-        file, entry = self.data[index].file, self.data[index].entry
-        where = f"{file} (frame {index})"
-        try:
-            table = read_arrays(file)["data"]
-        except (OSError, ArrayError, KeyError) as error:
-            raise DatasetError(f"{where} is no sweep of DGP ({error}); {_COPY}") from None
-        columns = [str(name).lower() for name in entry.get("point_format", [])]
-        if table.ndim != 2 or table.shape[1] != len(columns):
-            raise DatasetError(
-                f"{where} has shape {table.shape}, but the scene says {' '.join(columns)}; {_COPY}"
-            )
-        rows = rows_of({name: table[:, k] for k, name in enumerate(columns)})
-        return cloud_from_fields(rows, where)
-
-    def files(self, index: int) -> list[Path]:
-        """Its file."""
-        return [self.data[index].file]
+def read_sweep(file: Path, where: str, columns: dict[Path, list[str]]) -> Cloud:
+    """The points of a file, whose columns the scene tells."""
+    try:
+        table = read_arrays(file)["data"]
+    except (OSError, ArrayError, KeyError) as error:
+        raise DatasetError(f"{where} is no sweep of DGP ({error}); {_COPY}") from None
+    names = columns[file]
+    if table.ndim != 2 or table.shape[1] != len(names):
+        raise DatasetError(
+            f"{where} has shape {table.shape}, but the scene says {' '.join(names)}; {_COPY}"
+        )
+    return cloud_from_fields(rows_of({n: table[:, k] for k, n in enumerate(names)}), where)
 
 
-class DgpScene(Recording):
-    """A scene of DGP: LiDARs, cameras, and a pose of each sweep.
+def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
+    """LiDARs, cameras, and a pose of each sweep.
 
-    Parameters
-    ----------
-    path : Path
-        Folder with ``scene_*.json``, ``calibration`` and the data. DDAD's points are of several
-        LiDARs in the vehicle's frame, one after the other; a run finds where they are.
+    DDAD's points are of several LiDARs in the vehicle's frame, one after the other; a run finds
+    where they are.
     """
-
-    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
-        settings, _ = read_settings(path, RecordingSettings)
-        file = _scene_file(path)
-        scene = read_json(file, _COPY)
-        try:
-            data = list(_data(path, scene, file))
-            keys = {str(sample["calibration_key"]) for sample in scene["samples"]}
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise DatasetError(f"{file} is no scene of DGP ({error!r}); {_COPY}") from None
-        if len(keys) != 1:
-            raise CalibrationError(f"{file} has {len(keys)} calibrations; docdepth reads one")
-        calibration = _Calibration(path / "calibration" / f"{keys.pop()}.json")
-        names = list(dict.fromkeys(datum.name for datum in data))
-        by_name = {n: sorted((d for d in data if d.name == n), key=lambda d: d.time) for n in names}
-        lidars: list[DgpLidar] = []
-        cameras = {}
-        for name, own in by_name.items():
-            if own[0].kind == "point_cloud":
-                first = lidars[0].stream.name if lidars else name
-                T = inverse(calibration.place(first)) @ calibration.place(name)
-                stems = [d.file.stem for d in own]
-                T = T if lidars else np.eye(4)
-                lidars.append(DgpLidar(LidarStream(name, _times(own, file), stems, T), own))
-        if not lidars:
-            raise DatasetError(f"{file} has no point clouds; {_COPY}")
-        T_ego_lidar = calibration.place(lidars[0].stream.name)
-        for name, own in by_name.items():
-            if own[0].kind == "image":
-                cameras[name] = _camera(name, own, calibration, T_ego_lidar, file)
-        poses = [_pose(d.entry["pose"], f"{file}, {d.file.name}") for d in lidars[0].data]
-        super().__init__("dgp", path, lidars, cameras, np.stack(poses), settings.options())
+    settings = read_settings(path, RecordingSettings)
+    file = _scene_file(path)
+    scene = read_json(file, _COPY)
+    try:
+        data = list(_data(path, scene, file))
+        keys = {str(sample["calibration_key"]) for sample in scene["samples"]}
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DatasetError(f"{file} is no scene of DGP ({error!r}); {_COPY}") from None
+    if len(keys) != 1:
+        raise CalibrationError(f"{file} has {len(keys)} calibrations; docdepth reads one")
+    calibration = _Calibration(path / "calibration" / f"{keys.pop()}.json")
+    names = list(dict.fromkeys(datum.name for datum in data))
+    by_name = {n: sorted((d for d in data if d.name == n), key=lambda d: d.time) for n in names}
+    clouds = {name: own for name, own in by_name.items() if own[0].kind == "point_cloud"}
+    if not clouds:
+        raise DatasetError(f"{file} has no point clouds; {_COPY}")
+    first = next(iter(clouds))
+    T_ego_lidar = calibration.place(first)
+    lidars = []
+    for name, own in clouds.items():
+        T = np.eye(4) if name == first else inverse(T_ego_lidar) @ calibration.place(name)
+        stream = LidarStream(name, _times(own, file), [d.file.stem for d in own], T)
+        columns = {d.file: [str(c).lower() for c in d.entry.get("point_format", [])] for d in own}
+        lidars.append(
+            FileLidar(stream, [d.file for d in own], partial(read_sweep, columns=columns))
+        )
+    cameras = {
+        name: _camera(name, own, calibration, T_ego_lidar, file)
+        for name, own in by_name.items()
+        if own[0].kind == "image"
+    }
+    poses = [_pose(d.entry["pose"], f"{file}, {d.file.name}") for d in clouds[first]]
+    return Recording("dgp", path, lidars, cameras, np.stack(poses), settings)
 
 
 class _Calibration:
@@ -222,5 +207,5 @@ FORMAT = Format(
     "dgp",
     "a scene of DGP (DDAD) with scene_*.json, calibration and point_cloud",
     _recognises,
-    DgpScene,
+    _open,
 )

@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from docdepth.datasets.cloud import packed
 from docdepth.datasets.format import Format
-from docdepth.datasets.pose_tables import pose_of, poses_at, read_pose_table
+from docdepth.datasets.pose_tables import pose_of, read_table_poses
+from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import read_settings
-from docdepth.datasets.stamped_files import NANOSECOND, packed, stamped_lidar
-from docdepth.datasets.yaml_cameras import CameraRecordingSettings, LidarRecording
+from docdepth.datasets.stamped_files import NANOSECOND, stamped_lidar
+from docdepth.datasets.yaml_cameras import CameraRecordingSettings, yaml_recording
 
 _AEVA = packed(x="f4", y="f4", z="f4", reflectivity="f4", velocity="f4", offset_ns="i4", line="u1")
 _ROWS = {
@@ -29,39 +30,23 @@ _LAST_SHORT_AEVA = 1691936557946849179
 _LATER_AEVA = np.dtype([*_AEVA.descr, ("raw_intensity", "<f4")])
 
 
-class HeLiPR(LidarRecording):
-    """One LiDAR of a sequence of HeLiPR.
-
-    Parameters
-    ----------
-    path : Path
-        ``SEQUENCE/LiDAR/NAME`` with ``STAMP.bin``; NAME is Ouster, Velodyne, Avia or Aeva. Poses
-        are those of ``SEQUENCE/LiDAR_GT``, if there are any.
-    image_size : (int, int), optional
-        Width and height of cameras that ``docdepth.yaml`` describes without images.
-    """
-
-    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
-        settings, file = read_settings(path, CameraRecordingSettings, {"motion_compensated": False})
-        name = path.absolute().name
-        lidar = stamped_lidar(name.lower(), path, NANOSECOND, _ROWS[name])
-        if name == "Aeva" and lidar.stream.times[0] > _LAST_SHORT_AEVA:
-            lidar = stamped_lidar(name.lower(), path, NANOSECOND, _LATER_AEVA)
-        poses = _poses(path.absolute().parent.parent / "LiDAR_GT", name, lidar.stream.times)
-        super().__init__("helipr", path, lidar, poses, settings, file, image_size)
-
-
-def _poses(folder: Path, name: str, times: NDArray[np.int64]) -> NDArray[np.float64] | None:
-    """Poses of this LiDAR, in the frame of all sequences if there are such."""
-    files = sorted(folder.glob(f"*{name}_gt.txt"), key=lambda f: ("global" not in f.name, f.name))
-    if not files:
-        return None
-    stamps, rows = read_pose_table(files[0], (7,), "download LiDAR_GT of HeLiPR again")
-    poses = [
-        pose_of([row[6], *row[3:6]], row[:3], f"{files[0]}, {stamp}")
-        for stamp, row in zip(stamps.tolist(), rows.tolist(), strict=True)
-    ]
-    return poses_at(stamps, np.stack(poses), times, files[0])
+def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
+    """``SEQUENCE/LiDAR/NAME`` with ``STAMP.bin``; poses are those of ``SEQUENCE/LiDAR_GT``."""
+    settings = read_settings(path, CameraRecordingSettings, {"motion_compensated": False})
+    name = path.absolute().name
+    lidar = stamped_lidar(name.lower(), path, NANOSECOND, _ROWS[name])
+    if name == "Aeva" and lidar.stream.times[0] > _LAST_SHORT_AEVA:
+        lidar = stamped_lidar(name.lower(), path, NANOSECOND, _LATER_AEVA)
+    folder, poses = path.absolute().parent.parent / "LiDAR_GT", None
+    tables = sorted(folder.glob(f"*{name}_gt.txt"), key=lambda f: ("global" not in f.name, f.name))
+    if tables:  # those in the frame of all sequences come first
+        poses = read_table_poses(
+            tables[0], (7,), "download LiDAR_GT of HeLiPR again", lidar.stream.times,
+            lambda rows: np.stack(
+                [pose_of([row[6], *row[3:6]], row[:3], str(tables[0])) for row in rows.tolist()]
+            ),
+        )  # fmt: skip
+    return yaml_recording("helipr", path, [lidar], poses, settings, image_size)
 
 
 def _recognises(path: Path) -> bool:
@@ -73,6 +58,6 @@ FORMAT = Format(
     "helipr",
     "a LiDAR of a sequence of HeLiPR, such as SEQUENCE/LiDAR/Ouster with *.bin",
     _recognises,
-    HeLiPR,
+    _open,
     experimental=True,
 )

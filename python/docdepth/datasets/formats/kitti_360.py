@@ -17,14 +17,9 @@ from docdepth.datasets.formats.kitti_raw import (
     image_times,
     lies_in_kitti_360,
 )
-from docdepth.datasets.formats.mei_camera import MeiCamera, read_mei
+from docdepth.datasets.formats.mei_camera import read_mei
 from docdepth.datasets.kitti_files import Calibration
-from docdepth.datasets.pose_tables import (
-    poses_at,
-    poses_of_matrices,
-    read_pose_table,
-    whole_poses,
-)
+from docdepth.datasets.pose_tables import poses_at, poses_of_matrices, read_pose_table
 from docdepth.datasets.settings import transform
 from docdepth.datasets.times import times_of_names
 from docdepth.errors import CalibrationError, Collector, DatasetError
@@ -51,11 +46,6 @@ class Kitti360(KittiRaw):
     image_size : (int, int), optional
         Width and height in pixels, for a calibration without ``S_rect``.
 
-    Attributes
-    ----------
-    partial_poses : ndarray of float64, shape (n, 4, 4), optional
-        NaN for sweeps without a pose.
-
     Raises
     ------
     DatasetError, CalibrationError
@@ -63,11 +53,6 @@ class Kitti360(KittiRaw):
     """
 
     name = "kitti_360"
-
-    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
-        super().__init__(path, image_size)
-        self.partial_poses = self._read_poses()
-        self.poses = whole_poses(self.partial_poses, self.path)
 
     @property
     def _root(self) -> Path:
@@ -78,7 +63,11 @@ class Kitti360(KittiRaw):
         return self._root / kind / self.path.absolute().name
 
     def _read_cameras(
-        self, image_size: tuple[int, int] | None, problems: Collector
+        self,
+        sweeps: list[Path],
+        sweep_times: NDArray[np.int64],
+        image_size: tuple[int, int] | None,
+        problems: Collector,
     ) -> dict[str, CameraStream]:
         file = self._root / "calibration" / "perspective.txt"
         streams: dict[str, CameraStream] = {}
@@ -90,7 +79,7 @@ class Kitti360(KittiRaw):
             for number in numbers:
                 folder = self._beside("data_2d_raw") / f"image_{number}"
                 images = kitti_files.image_files(folder / "data_rect")
-                times, names = image_times(folder, images, self._sweeps, self.times)
+                times, names = image_times(folder, images, sweeps, sweep_times)
                 P = calibration.matrix(f"P_rect_{number}", 3, 4)
                 streams[folder.name] = CameraStream(
                     folder.name,
@@ -104,23 +93,19 @@ class Kitti360(KittiRaw):
             with problems.collected():
                 calibration_file = file.with_name(f"image_{name}.yaml")
                 if is_there(calibration_file):
-                    stream = self._fisheye(name, read_mei(calibration_file, _CALIBRATION))
-                    streams[stream.name] = stream
+                    lens = read_mei(calibration_file, _CALIBRATION)
+                    folder = self._beside("data_2d_raw") / f"image_{name}"
+                    images = kitti_files.image_files(folder / "data_rgb")
+                    times, names = image_times(folder, images, sweeps, sweep_times)
+                    streams[f"fisheye_{name}"] = CameraStream(
+                        f"fisheye_{name}",
+                        lens.pinhole,  # of its middle
+                        inverse(self._T_imu_camera(name)) @ self._T_imu_lidar(),
+                        times,
+                        names,
+                        [lens.rectified(image) for image in images],
+                    )
         return streams
-
-    def _fisheye(self, number: str, lens: MeiCamera) -> CameraStream:
-        """The middle of a fisheye, as a pinhole camera."""
-        folder = self._beside("data_2d_raw") / f"image_{number}"
-        images = kitti_files.image_files(folder / "data_rgb")
-        times, names = image_times(folder, images, self._sweeps, self.times)
-        return CameraStream(
-            f"fisheye_{number}",
-            lens.pinhole,
-            inverse(self._T_imu_camera(number)) @ self._T_imu_lidar(),
-            times,
-            names,
-            [lens.rectified(image) for image in images],
-        )
 
     def _T_imu_camera(self, number: str) -> NDArray[np.float64]:
         file = self._root / "calibration" / "calib_cam_to_pose.txt"
@@ -137,7 +122,9 @@ class Kitti360(KittiRaw):
         T_lidar_camera0 = transform(read_numbers(file, _CALIBRATION), str(file))
         return self._T_imu_camera("00") @ inverse(T_lidar_camera0)
 
-    def _read_poses(self) -> NDArray[np.float64] | None:
+    def _read_poses(
+        self, sweeps: list[Path], times: NDArray[np.int64]
+    ) -> NDArray[np.float64] | None:
         """``T_world_lidar`` of each sweep, NaN where there is none; None without a file."""
         folder = self._beside("data_poses")
         file = folder / "poses.txt"
@@ -151,12 +138,12 @@ class Kitti360(KittiRaw):
             T_theirs_lidar = self._rectified_lidar(perspective, "00")
         frames, rows = read_pose_table(file, (12, 16), _POSES)
         poses = poses_of_matrices(rows, file) @ T_theirs_lidar
-        own = times_of_names(self._sweeps, 1, "it is the number of the frame")
+        own = times_of_names(sweeps, 1, "it is the number of the frame")
         posed = np.isin(frames, own)
         if not posed.any():
             raise DatasetError(f"{file} has no pose of a sweep of {self.path}; {_POSES}")
-        stamps = self.times[np.isin(own, frames)]
-        return poses_at(stamps, poses[posed], self.times, file)
+        stamps = times[np.isin(own, frames)]
+        return poses_at(stamps, poses[posed], times, file)
 
 
 FORMAT = Format(

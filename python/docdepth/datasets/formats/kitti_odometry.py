@@ -2,40 +2,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import kitti_files, kitti_lidar
-from docdepth.datasets.base import Sweep, without_ego
+from docdepth.datasets.base import CameraStream
 from docdepth.datasets.files import FILE, is_there, read_bytes, read_lines
 from docdepth.datasets.format import Format
 from docdepth.datasets.formats.kitti_odometry_cameras import REMEDY, read_cameras
-from docdepth.datasets.kitti_files import Calibration, KittiSweeps
-from docdepth.datasets.settings import MountSettings, read_settings
+from docdepth.datasets.kitti_files import Calibration
+from docdepth.datasets.recording import Part, Recording
+from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.datasets.times import read_times_of
-from docdepth.errors import Collector, DatasetError
+from docdepth.errors import Collector, DatasetError, raise_together
 from docdepth.geometry.se3 import inverse
-from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.io.poses import read_kitti
 from docdepth.io.yaml_json import parse_yaml
 
 
-class KittiSettings(MountSettings):
+class KittiSettings(RecordingSettings):
     """What ``docdepth.yaml`` of a sequence may say; the last ones tell how a drive was made."""
 
     motion_compensated: bool = True
-    scene: Any = None
-    sensor: Any = None
-    seed: Any = None
-    frames: Any = None
-    beam_width_deg: Any = None
-    blooming_deg: Any = None
+    scene: object = None
+    sensor: object = None
+    seed: object = None
+    frames: object = None
+    beam_width_deg: object = None
+    blooming_deg: object = None
 
 
-class KittiOdometry(KittiSweeps):
+_TAKEN = KittiSettings.model_fields.keys() - {
+    *("stamp", "point_time_unit", "sweep_duration", "poses")
+}
+
+
+class KittiOdometry(Recording):
     """A sequence ``sequences/NN`` of KITTI odometry or SemanticKITTI.
 
     Needed are ``velodyne/*.bin``, ``calib.txt`` (P0 to P3, Tr) and ``times.txt``. Optional are
@@ -82,111 +87,60 @@ class KittiOdometry(KittiSweeps):
         image_size: tuple[int, int] | None = None,
         name: str = "kitti_odometry",
     ) -> None:
-        self.name = name
-        self.path = Path(path)
         problems = Collector()
-        self._sweeps = kitti_files.find_sweeps(self.path / "velodyne", problems)
-        self.times = np.arange(len(self._sweeps))
+        sweeps, broken = list[Path](), list[DatasetError]()
+        settings, more = KittiSettings(), list[tuple[Path, NDArray[np.float64]]]()
+        cameras: dict[str, CameraStream] = {}
+        poses, T_camera_lidar = None, np.eye(4)
         with problems.collected():
-            self.times = read_times_of(self._sweeps, self.path / "times.txt", "times", REMEDY)
+            sweeps, broken = kitti_files.find_sweeps(path / "velodyne")
+        times = np.arange(len(sweeps))
         with problems.collected():
-            settings, _ = read_settings(self.path, KittiSettings)
-            self.motion_compensated = settings.motion_compensated
-            self._sensor_origin, self.up = settings.sensor_origin, settings.up
-            self._ego_boxes = settings.ego_boxes
+            times = read_times_of(sweeps, path / "times.txt", "times", REMEDY)
         with problems.collected():
-            self._read_calibration(image_size, problems)
-        problems.raise_errors()
-
-    def _read_calibration(self, image_size: tuple[int, int] | None, problems: Collector) -> None:
-        """All that needs ``calib.txt``: cameras, more LiDARs, and poses of the cameras."""
-        calibration = Calibration(self.path / "calib.txt", REMEDY)
-        T_camera_lidar = np.eye(4)
+            settings = read_settings(path, KittiSettings, taken=_TAKEN)
         with problems.collected():
-            T_camera_lidar = calibration.transform("Tr")
-        with problems.collected():
-            self.poses = _poses(self.path, self._sweeps, T_camera_lidar)
-        with problems.collected():
-            self.cameras = read_cameras(
-                self.path, self._sweeps, self.times, calibration, T_camera_lidar, image_size
-            )
-        with problems.collected():
-            self._more_lidars = _find_more_lidars(
-                self.path, calibration, T_camera_lidar, self._sweeps
-            )
-            self.lidars = kitti_files.lidars(self._sweeps, self.times, self._more_lidars)
-
-    def sweep(self, index: int) -> Sweep:
-        """Sweep ``index`` as it is on disk."""
-        file = self._sweeps[index]
-        points, intensity = kitti_files.read_sweep(file, index)
-        sensor_rig = None
-        if self._sensor_origin is not None:
-            sensor_rig = SensorRig.single(self._sensor_origin, len(points))
-        elif self._is_kitti_lidar:
-            sensor_rig = kitti_lidar.sensor_rig(points)
-        if self._more_lidars:
-            first = sensor_rig or SensorRig.single((0, 0, 0), len(points))
-            points, intensity, sensor_rig = self._merge_lidars(points, intensity, first, index)
-        sweep = Sweep(
-            points,
-            file.stem,
-            int(self.times[index]),
-            intensity,
-            self._relative_time(index, points),
-            sensor_rig,
-            self.motion_compensated,
-        )
-        return without_ego(sweep, self._ego_boxes)
-
-    def _merge_lidars(
-        self,
-        points: NDArray[np.float32],
-        intensity: NDArray[np.float32],
-        sensor_rig: SensorRig,
-        frame: int,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], SensorRig]:
-        """A sweep of the first LiDAR with those of the others, in the frame of the first."""
-        all_points, all_intensities = [points], [intensity]
-        for folder, T_lidar_sensor in self._more_lidars:
-            own, bright = kitti_files.read_sweep(folder / self._sweeps[frame].name, frame)
-            moved = own @ T_lidar_sensor[:3, :3].T + T_lidar_sensor[:3, 3]
-            all_points.append(moved.astype("f4"))
-            all_intensities.append(bright)
-            sensor_rig = sensor_rig.with_lidar(T_lidar_sensor, len(own))
-        return np.concatenate(all_points), np.concatenate(all_intensities), sensor_rig
+            calibration = Calibration(path / "calib.txt", REMEDY)
+            with problems.collected():
+                T_camera_lidar = calibration.transform("Tr")
+            with problems.collected():
+                poses = _poses(path, sweeps, T_camera_lidar)
+            with problems.collected():
+                cameras = read_cameras(path, sweeps, times, calibration, T_camera_lidar, image_size)
+            with problems.collected():
+                more = _find_more_lidars(path, calibration, T_camera_lidar, sweeps)
+        if problems.errors:
+            raise_together([*broken, *problems.errors])
+        lidars = kitti_files.lidars_of(sweeps, times, more)
+        super().__init__(name, path, lidars, cameras, poses, settings, labels=path / "labels")
+        self.broken = list(broken) or self.broken
 
     def sweep_files(self, index: int) -> list[Path]:
-        """Sweep ``index`` of each LiDAR, the times of its points, and what masks some of them."""
-        lidars, times = self._lidar_files(index), self._point_times(index)
-        masks = super().sweep_files(index)[len(lidars) :]
-        return lidars + [times] * times.is_file() + masks
+        """The files of sweep ``index`` of each LiDAR, and the times of its points."""
+        times = self._times_file(index)
+        return super().sweep_files(index) + [times] * times.is_file()
 
-    def _lidar_files(self, index: int) -> list[Path]:
-        sweep = self._sweeps[index]
-        return [sweep, *(folder / sweep.name for folder, _ in self._more_lidars)]
+    def _times_file(self, index: int) -> Path:
+        return self.path / "point_times" / f"{self._readers[0].stream.names[index]}.bin"
 
-    def _point_times(self, index: int) -> Path:
-        return self.path / "point_times" / f"{self._sweeps[index].stem}.bin"
-
-    def _relative_time(self, frame: int, points: NDArray[np.float32]) -> NDArray[np.float32] | None:
-        file = self._point_times(frame)
-        there = is_there(file)
-        if not there and self.motion_compensated:
-            # The azimuth gives the time to a hundredth of a sweep, though the motion is removed.
-            return kitti_lidar.azimuth_relative_time(points) if self._is_kitti_lidar else None
-        if not there:
+    def _relative_time(self, index: int, parts: Sequence[Part]) -> NDArray[np.float32] | None:
+        file = self._times_file(index)
+        points = np.concatenate([part.points for part in parts])
+        if is_there(file):
+            content = read_bytes(file, "write the times of the points again")
+            if len(content) != 4 * len(points):
+                raise DatasetError(
+                    f"{file} (frame {index}) has {len(content)} bytes for a sweep of {len(points)} "
+                    "points; it holds one float32 for each, in the order of the sweep"
+                )
+            return np.frombuffer(content, "<f4").astype(np.float32)
+        if not self._settings.motion_compensated:
             raise DatasetError(
-                f"{file} (frame {frame}) is missing: raw sweeps need each point's time; write it, "
-                f"or set motion_compensated: true in {self.path / 'docdepth.yaml'}"
+                f"{file} (frame {index}) is missing: raw sweeps need each point's time; write it, "
+                f"or set motion_compensated: true in {self._settings.file}"
             )
-        content = read_bytes(file, "write the times of the points again")
-        if len(content) != 4 * len(points):
-            raise DatasetError(
-                f"{file} (frame {frame}) has {len(content)} bytes for a sweep of "
-                f"{len(points)} points; it holds one float32 for each, in the order of the sweep"
-            )
-        return np.frombuffer(content, "<f4").astype(np.float32)
+        # The azimuth gives the time to a hundredth of a sweep, though the motion is removed.
+        return kitti_lidar.azimuth_relative_time(points) if self._is_kitti_lidar else None
 
 
 def _poses(
@@ -212,11 +166,11 @@ def _find_more_lidars(
 ) -> list[tuple[Path, NDArray[np.float64]]]:
     """Folder and ``T_lidar_sensor`` (4, 4) of each LiDAR but the first."""
     found = []
-    problems = Collector()
     for folder in sorted(sequence.glob("velodyne_[2-9]")):
         T_camera_other = calibration.transform(f"Tr_{folder.name[-1]}")
-        names = [file.name for file in kitti_files.find_sweeps(folder, problems)]
-        problems.raise_errors()
+        files, broken = kitti_files.find_sweeps(folder)
+        raise_together(broken)
+        names = [file.name for file in files]
         lacking = sorted({file.name for file in sweeps}.symmetric_difference(names))
         if lacking:
             raise DatasetError(

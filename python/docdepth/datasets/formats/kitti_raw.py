@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import kitti_files, kitti_lidar
-from docdepth.datasets.base import CameraStream, Sweep, without_ego
+from docdepth.datasets.base import CameraStream
 from docdepth.datasets.files import is_there, read_lines
 from docdepth.datasets.format import Format
 from docdepth.datasets.formats.kitti_oxts import read_oxts
-from docdepth.datasets.kitti_files import Calibration, KittiSweeps, camera_offset
-from docdepth.datasets.pose_tables import whole_poses
-from docdepth.datasets.settings import EgoSettings, read_settings
+from docdepth.datasets.kitti_files import Calibration, camera_offset
+from docdepth.datasets.recording import Part, Recording
+from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.datasets.times import read_times_of
-from docdepth.errors import CalibrationError, Collector
+from docdepth.errors import CalibrationError, Collector, DatasetError, raise_together
 from docdepth.geometry.camera import camera_of
 
 _EXPORT = "KITTI keeps it beside the drive; unpack the 'synced+rectified data' of the drive again"
 _CALIBRATION = "unpack the 'calibration' archive of that date beside its drives"
 
 
-class KittiRaw(KittiSweeps):
+class KittiRaw(Recording):
     """A drive ``DATE/DATE_drive_NNNN_sync`` with the calibration in ``DATE``.
 
     A sweep is one revolution of the LiDAR, clockwise seen from above. It starts backwards and faces
@@ -48,32 +49,48 @@ class KittiRaw(KittiSweeps):
     name = "kitti_raw"
 
     def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
-        self.path = Path(path)
-        velodyne, problems = self.path / "velodyne_points", Collector()
-        self._ego_boxes: list[list[float]] = []
+        self.path = path
+        velodyne, problems = path / "velodyne_points", Collector()
+        settings, sweeps, broken = RecordingSettings(), list[Path](), list[DatasetError]()
+        usual = {"motion_compensated": False}
         with problems.collected():
-            self._ego_boxes = read_settings(self.path, EgoSettings)[0].ego_boxes
-        self._sweeps = kitti_files.find_sweeps(velodyne / "data", problems)
-        self.times = np.arange(len(self._sweeps))
+            settings = read_settings(path, RecordingSettings, usual, ("ego_boxes", "masks"))
         with problems.collected():
-            self.times = _read_times(velodyne / "timestamps.txt", self._sweeps)
-        self.lidars = kitti_files.lidars(self._sweeps, self.times)
-        self.cameras = self._read_cameras(image_size, problems)
-        problems.raise_errors()
-
-    def sweep(self, index: int) -> Sweep:
-        """Sweep ``index`` as it is on disk."""
-        file = self._sweeps[index]
-        points, intensity = kitti_files.read_sweep(file, index)
-        relative_time = kitti_lidar.azimuth_relative_time(points)
-        sensor_rig = kitti_lidar.sensor_rig(points) if self._is_kitti_lidar else None
-        sweep = Sweep(
-            points, file.stem, int(self.times[index]), intensity, relative_time, sensor_rig
+            sweeps, broken = kitti_files.find_sweeps(velodyne / "data")
+        times = np.arange(len(sweeps))
+        with problems.collected():
+            times = _read_times(velodyne / "timestamps.txt", sweeps)
+        cameras = self._read_cameras(sweeps, times, image_size, problems)
+        if problems.errors:
+            raise_together([*broken, *problems.errors])
+        super().__init__(
+            self.name,
+            path,
+            kitti_files.lidars_of(sweeps, times),
+            cameras,
+            partial(self._read_poses, sweeps, times),
+            settings,
+            labels=path / "labels",
         )
-        return without_ego(sweep, self._ego_boxes)
+        self.broken = list(broken) or self.broken
+        if self._is_kitti_lidar:  # which stands upright
+            self.up = (0.0, 0.0, 1.0)
+
+    def _relative_time(self, index: int, parts: Sequence[Part]) -> NDArray[np.float32]:
+        return kitti_lidar.azimuth_relative_time(parts[0].points)
+
+    def _read_poses(
+        self, sweeps: list[Path], times: NDArray[np.int64]
+    ) -> NDArray[np.float64] | None:
+        """``T_world_lidar`` of each sweep, NaN where there is none; None without any."""
+        return read_oxts(self.path, times)
 
     def _read_cameras(
-        self, image_size: tuple[int, int] | None, problems: Collector
+        self,
+        sweeps: list[Path],
+        sweep_times: NDArray[np.int64],
+        image_size: tuple[int, int] | None,
+        problems: Collector,
     ) -> dict[str, CameraStream]:
         file = self.path.parent / "calib_cam_to_cam.txt"
         T_camera0_lidar = T_rectified_camera0 = np.eye(4)
@@ -96,7 +113,7 @@ class KittiRaw(KittiSweeps):
                 folder = self.path / f"image_{number}"
                 images = kitti_files.image_files(folder / "data")
                 size = image_size_of(camera_file, number, images, image_size)
-                times, names = image_times(folder, images, self._sweeps, self.times)
+                times, names = image_times(folder, images, sweeps, sweep_times)
                 streams[folder.name] = CameraStream(
                     name=folder.name,
                     camera=camera_of(P[:, :3], size, f"{file}: P_rect_{number}"),
@@ -109,21 +126,6 @@ class KittiRaw(KittiSweeps):
             if not numbers:
                 raise CalibrationError(f"{file} has no camera (P_rect_NN); {_CALIBRATION}")
         return streams
-
-    @cached_property
-    def partial_poses(self) -> NDArray[np.float64] | None:
-        """``T_world_lidar`` (n, 4, 4), NaN for sweeps without a pose; None without any."""
-        return read_oxts(self.path, self.times)
-
-    @cached_property
-    def poses(self) -> NDArray[np.float64] | None:
-        """``T_world_lidar`` (n, 4, 4) if every sweep has a pose."""
-        return whole_poses(self.partial_poses, self.path)
-
-    @cached_property
-    def up(self) -> tuple[float, float, float] | None:
-        """Which way is up in the LiDAR frame: KITTI's own LiDAR stands upright."""
-        return (0.0, 0.0, 1.0) if self._is_kitti_lidar else None
 
 
 def _read_times(table: Path, files: list[Path]) -> NDArray[np.int64]:

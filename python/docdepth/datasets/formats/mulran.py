@@ -9,19 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.cloud import Cloud
-from docdepth.datasets.files import is_there
+from docdepth.datasets.cloud import Cloud, FileLidar, packed
 from docdepth.datasets.format import Format
-from docdepth.datasets.pose_tables import (
-    poses_at,
-    poses_of_angles,
-    poses_of_matrices,
-    read_pose_table,
-    rows_around,
-)
+from docdepth.datasets.pose_tables import poses_of_angles, poses_of_matrices, read_table_poses
+from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import read_settings
-from docdepth.datasets.stamped_files import NANOSECOND, StampedLidar, packed, stamped_lidar
-from docdepth.datasets.yaml_cameras import CameraRecordingSettings, LidarRecording
+from docdepth.datasets.stamped_files import NANOSECOND, stamped_lidar
+from docdepth.datasets.yaml_cameras import CameraRecordingSettings, yaml_recording
 from docdepth.geometry.se3 import inverse
 
 log = logging.getLogger(__name__)
@@ -50,38 +44,21 @@ def turned(rows: NDArray[Any], where: str) -> Cloud:
     return Cloud(points, rows["intensity"].copy(), (place % _BEAMS).astype(np.uint16), times)
 
 
-class MulRan(LidarRecording):
-    """A sequence of MulRan.
-
-    Parameters
-    ----------
-    path : Path
-        Folder with ``sensor_data/Ouster/STAMP.bin`` or ``Ouster/STAMP.bin``, and
-        ``global_pose.csv`` if there is one.
-    image_size : (int, int), optional
-        Width and height of cameras that ``docdepth.yaml`` describes without images.
-    """
-
-    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
-        usual = {"motion_compensated": False, "point_time_unit": "ns"}
-        settings, file = read_settings(path, CameraRecordingSettings, usual)
-        lidar = stamped_lidar("ouster", _sweeps(path), NANOSECOND, _ROWS, turned)
-        _warn_of_short(lidar)
-        poses = _poses(path / "global_pose.csv", lidar.stream.times)
-        super().__init__("mulran", path, lidar, poses, settings, file, image_size)
+def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
+    """``sensor_data/Ouster/STAMP.bin`` or ``Ouster/STAMP.bin``, and perhaps ``global_pose.csv``."""
+    usual = {"motion_compensated": False, "point_time_unit": "ns"}
+    settings = read_settings(path, CameraRecordingSettings, usual)
+    lidar = stamped_lidar("ouster", _sweeps(path), NANOSECOND, _ROWS, turned)
+    _warn_of_short(lidar)
+    file, T = path / "global_pose.csv", _T_VEHICLE_THEIRS @ inverse(_T_LIDAR_THEIRS)
+    poses = read_table_poses(
+        file, (12,), "copy global_pose.csv of MulRan again", lidar.stream.times,
+        lambda rows: poses_of_matrices(rows, file) @ T,
+    )  # fmt: skip
+    return yaml_recording("mulran", path, [lidar], poses, settings, image_size)
 
 
-def _poses(file: Path, times: NDArray[np.int64]) -> NDArray[np.float64] | None:
-    """``T_world_lidar``; None without the file."""
-    if not is_there(file):
-        return None
-    stamps, rows = read_pose_table(file, (12,), "copy global_pose.csv of MulRan again")
-    stamps, rows = rows_around(stamps, rows, times)
-    T = _T_VEHICLE_THEIRS @ inverse(_T_LIDAR_THEIRS)
-    return poses_at(stamps, poses_of_matrices(rows, file) @ T, times, file)
-
-
-def _warn_of_short(lidar: StampedLidar) -> None:
+def _warn_of_short(lidar: FileLidar) -> None:
     whole = _BEAMS * _COLUMNS * _ROWS.itemsize
     short = [file for file in lidar.sweeps if file.stat().st_size != whole]
     if short:
@@ -107,6 +84,6 @@ FORMAT = Format(
     "mulran",
     "a sequence of MulRan with sensor_data/Ouster/*.bin (or Ouster/*.bin) and global_pose.csv",
     _recognises,
-    MulRan,
+    _open,
     experimental=True,
 )

@@ -8,18 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.cloud import Cloud
+from docdepth.datasets.cloud import Cloud, packed
 from docdepth.datasets.files import is_there
 from docdepth.datasets.format import Format
-from docdepth.datasets.pose_tables import (
-    poses_at,
-    poses_of_angles,
-    read_pose_table,
-    rows_around,
-)
+from docdepth.datasets.pose_tables import poses_of_angles, read_table_poses
+from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import read_settings
-from docdepth.datasets.stamped_files import MICROSECOND, packed, stamped_lidar
-from docdepth.datasets.yaml_cameras import CameraRecordingSettings, LidarRecording
+from docdepth.datasets.stamped_files import MICROSECOND, stamped_lidar
+from docdepth.datasets.yaml_cameras import CameraRecordingSettings, yaml_recording
 from docdepth.geometry.se3 import inverse
 
 _ROWS = packed(x="u2", y="u2", z="u2", intensity="u1", laser="u1")
@@ -43,44 +39,29 @@ def lifted(rows: NDArray[Any], where: str) -> Cloud:
     )
 
 
-class Nclt(LidarRecording):
-    """A session of NCLT; its sweeps are compensated for the motion of the robot.
+def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
+    """``velodyne_sync/STAMP.bin``, compensated for the motion of the robot.
 
-    Parameters
-    ----------
-    path : Path
-        Folder ``DATE`` with ``velodyne_sync/STAMP.bin``. ``groundtruth_DATE.csv`` is looked for in
-        it, beside it, and in folders ``ground_truth`` there.
-    image_size : (int, int), optional
-        Width and height of cameras that ``docdepth.yaml`` describes without images.
+    ``groundtruth_DATE.csv`` is looked for in the session, beside it, and in ``ground_truth`` there.
     """
-
-    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
-        settings, file = read_settings(path, CameraRecordingSettings, {"motion_compensated": True})
-        lidar = stamped_lidar("velodyne", path / "velodyne_sync", MICROSECOND, _ROWS, lifted)
-        poses = _poses(path, lidar.stream.times)
-        super().__init__("nclt", path, lidar, poses, settings, file, image_size)
-
-
-def _poses(path: Path, times: NDArray[np.int64]) -> NDArray[np.float64] | None:
+    settings = read_settings(path, CameraRecordingSettings, {"motion_compensated": True})
+    lidar = stamped_lidar("velodyne", path / "velodyne_sync", MICROSECOND, _ROWS, lifted)
     whole = path.absolute()
-    name = f"groundtruth_{whole.name}.csv"
-    near = (whole, whole.parent)
-    folders = (*near, *(folder / "ground_truth" for folder in near))
-    file = next((folder / name for folder in folders if is_there(folder / name)), None)
-    if file is None:
-        return None
-    stamps, rows = read_pose_table(file, (6,), "download the ground truth of NCLT again")
-    stamps, rows = rows_around(stamps * MICROSECOND, rows, times)
-    T_theirs_body = poses_of_angles(rows[:, :3], rows[:, 3:])
-    poses = _T_WORLD_THEIRS @ T_theirs_body @ _T_BODY_LIDAR
-    return poses_at(stamps, poses, times, file)
+    near = (whole, whole.parent, whole / "ground_truth", whole.parent / "ground_truth")
+    files = [folder / f"groundtruth_{whole.name}.csv" for folder in near]
+    poses = read_table_poses(
+        next(filter(is_there, files), files[0]),
+        (6,), "download the ground truth of NCLT again", lidar.stream.times,
+        lambda rows: _T_WORLD_THEIRS @ poses_of_angles(rows[:, :3], rows[:, 3:]) @ _T_BODY_LIDAR,
+        MICROSECOND,
+    )  # fmt: skip
+    return yaml_recording("nclt", path, [lidar], poses, settings, image_size)
 
 
 FORMAT = Format(
     "nclt",
     "a session DATE of NCLT with velodyne_sync/*.bin",
     lambda path: any((path / "velodyne_sync").glob("*.bin")),
-    Nclt,
+    _open,
     experimental=True,
 )

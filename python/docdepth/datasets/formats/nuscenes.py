@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
-from docdepth.datasets.cloud import Cloud
+from docdepth.datasets.cloud import Cloud, FileLidar, packed
 from docdepth.datasets.files import read_json
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing
 from docdepth.datasets.pose_tables import pose_of
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
-from docdepth.datasets.stamped_files import MICROSECOND, StampedLidar, packed
+from docdepth.datasets.stamped_files import MICROSECOND, read_stamped
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import camera_of
 from docdepth.geometry.se3 import inverse
@@ -77,47 +77,37 @@ def turned(rows: NDArray[Any], where: str) -> Cloud:
     return Cloud(points, rows["intensity"].copy(), rows["ring"].astype(np.uint16))
 
 
-class NuScenes(Recording):
-    """A scene of nuScenes: LIDAR_TOP at 20 Hz with samples and sweeps, and its cameras.
+def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
+    """``ROOT/SCENE``, or ROOT where it holds one scene: LIDAR_TOP at 20 Hz, and its cameras.
 
-    Sweeps are compensated for the motion of the vehicle, to the end of the revolution. The LiDAR
-    frame is turned to x ahead, y left.
-
-    Parameters
-    ----------
-    path : Path
-        ``ROOT/SCENE``, or ROOT where it holds one scene.
+    Sweeps are compensated for the motion of the vehicle, to the end of the revolution.
     """
-
-    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
-        root = path if path.is_dir() else path.parent
-        settings, _ = read_settings(root, RecordingSettings, {"motion_compensated": True})
-        tables, scene = _find_scene(root, None if path == root else path.name)
-        channels = _channels(tables, scene)
-        if "LIDAR_TOP" not in channels:
-            raise DatasetError(f"{tables.folder}: scene {scene} has no LIDAR_TOP; {_UNPACK}")
-        rows = [row for channel in channels.values() for row in channel]
-        places = tables.by_token(
-            "calibrated_sensor", {row["calibrated_sensor_token"] for row in rows}
-        )
-        lidar = channels["LIDAR_TOP"]
-        place = places[lidar[0]["calibrated_sensor_token"]]
-        T_ego_lidar = _pose(place, tables, "calibrated_sensor") @ inverse(_T_LIDAR_THEIRS)
-        ego = tables.by_token("ego_pose", {row["ego_pose_token"] for row in lidar})
-        T_world_ego = [_pose(ego[row["ego_pose_token"]], tables, "ego_pose") for row in lidar]
-        cameras = {
-            name: _camera(root, name, rows, places, tables, T_ego_lidar)
-            for name, rows in channels.items()
-            if name.startswith("CAM")
-        }
-        super().__init__(
-            "nuscenes",
-            root,
-            [_lidar(root, lidar, tables)],
-            cameras,
-            np.stack(T_world_ego) @ T_ego_lidar,
-            settings.options(),
-        )
+    root = path if path.is_dir() else path.parent
+    settings = read_settings(root, RecordingSettings, {"motion_compensated": True})
+    tables, scene = _find_scene(root, None if path == root else path.name)
+    channels = _channels(tables, scene)
+    if "LIDAR_TOP" not in channels:
+        raise DatasetError(f"{tables.folder}: scene {scene} has no LIDAR_TOP; {_UNPACK}")
+    rows = [row for channel in channels.values() for row in channel]
+    places = tables.by_token("calibrated_sensor", {row["calibrated_sensor_token"] for row in rows})
+    lidar = channels["LIDAR_TOP"]
+    place = places[lidar[0]["calibrated_sensor_token"]]
+    T_ego_lidar = _pose(place, tables, "calibrated_sensor") @ inverse(_T_LIDAR_THEIRS)
+    ego = tables.by_token("ego_pose", {row["ego_pose_token"] for row in lidar})
+    T_world_ego = [_pose(ego[row["ego_pose_token"]], tables, "ego_pose") for row in lidar]
+    cameras = {
+        name: _camera(root, name, rows, places, tables, T_ego_lidar)
+        for name, rows in channels.items()
+        if name.startswith("CAM")
+    }
+    return Recording(
+        "nuscenes",
+        root,
+        [_lidar(root, lidar, tables)],
+        cameras,
+        np.stack(T_world_ego) @ T_ego_lidar,
+        settings,
+    )
 
 
 def _find_scene(root: Path, name: str | None) -> tuple[Tables, str]:
@@ -150,7 +140,7 @@ def _channels(tables: Tables, scene: str) -> dict[str, list[_Row]]:
     return channels
 
 
-def _lidar(root: Path, rows: list[_Row], tables: Tables) -> StampedLidar:
+def _lidar(root: Path, rows: list[_Row], tables: Tables) -> FileLidar:
     files = [root / row["filename"] for row in rows]
     lacking = [file for file in files if not file.is_file()]
     if lacking:
@@ -160,7 +150,7 @@ def _lidar(root: Path, rows: list[_Row], tables: Tables) -> StampedLidar:
         )
     names = [file.name.removesuffix(".pcd.bin") for file in files]
     stream = LidarStream("LIDAR_TOP", _times(rows, names, tables), names)
-    return StampedLidar(stream, files, _ROWS, turned)
+    return FileLidar(stream, files, partial(read_stamped, rows=_ROWS, cloud=turned))
 
 
 def _camera(
@@ -218,5 +208,5 @@ FORMAT = Format(
     "ROOT/SCENE of nuScenes, such as nuscenes/scene-0061, where ROOT holds v1.0-mini, samples and "
     "sweeps",
     _recognises,
-    NuScenes,
+    _open,
 )

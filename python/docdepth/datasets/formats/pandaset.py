@@ -7,7 +7,6 @@ import io
 import pickle
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
-from docdepth.datasets.cloud import Cloud, SweepFiles, cloud_from_fields, rows_of
-from docdepth.datasets.files import read_bytes, read_json
+from docdepth.datasets.cloud import Cloud, FileLidar, cloud_from_fields, rows_of
+from docdepth.datasets.files import extra, read_bytes, read_json
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing, image_files, image_size, in_order
 from docdepth.datasets.pose_tables import pose_of
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
-from docdepth.errors import CalibrationError, DatasetError, MissingExtraError
+from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse
 
@@ -76,58 +75,46 @@ def T_camera_lidar(name: str) -> NDArray[np.float64]:
     return pose_of(*_EXTRINSICS[name], name) @ inverse(_T_LIDAR_THEIRS)
 
 
-@dataclass(frozen=True)
-class PandaLidar(SweepFiles):
-    """The Pandar64 of a sequence."""
-
-    def read(self, index: int) -> Cloud:
-        """Own sweep ``index``, in the world."""
-        where = f"{self.sweeps[index]} (frame {index})"
-        table = read_table(self.sweeps[index], where)
-        lacking = [name for name in "xyzitd" if name not in table]
-        if lacking:
-            raise DatasetError(f"{where} has no column {lacking[0]}; {_COPY}")
-        kept = table["d"] == _SPINNING
-        rows = rows_of({name: table[name][kept].astype("f8") for name in "xyzit"})
-        return cloud_from_fields(rows, where)
+def read_sweep(file: Path, where: str) -> Cloud:
+    """The points of the Pandar64, in the world."""
+    table = read_table(file, where)
+    lacking = [name for name in "xyzitd" if name not in table]
+    if lacking:
+        raise DatasetError(f"{where} has no column {lacking[0]}; {_COPY}")
+    kept = table["d"] == _SPINNING
+    return cloud_from_fields(rows_of({n: table[n][kept].astype("f8") for n in "xyzit"}), where)
 
 
-class PandaSet(Recording):
-    """A sequence of PandaSet: Pandar64 and six cameras.
+def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
+    """Pandar64 and six cameras.
 
     Sweeps are compensated for the motion of the vehicle. They are stamped when the front camera
     fires, in the middle of a revolution, and have the LiDAR's pose of then, which follows from that
     of the camera. The poses that come with the sweeps are of another place on the vehicle. Points
     of the LiDAR that looks ahead are left out: nothing tells clearly where it sits.
-
-    Parameters
-    ----------
-    path : Path
-        Folder with ``lidar`` and ``camera``.
     """
-
-    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
-        settings, _ = read_settings(path, RecordingSettings, {"motion_compensated": True})
-        front = path / "camera" / _FRONT
-        sweeps = in_order((path / "lidar").glob("*.pkl.gz"))
-        names = [sweep.name.removesuffix(".pkl.gz") for sweep in sweeps]
-        times = _times(front / "timestamps.json", len(sweeps), "sweeps")
-        file = front / "poses.json"
-        entries = _entries(file, len(sweeps), "sweeps")
-        poses = [_pose(entry, f"{file}, entry {k}") for k, entry in enumerate(entries)]
-        cameras = {
-            name: _camera(path / "camera" / name)
-            for name in _EXTRINSICS
-            if (path / "camera" / name).is_dir()
-        }
-        super().__init__(
-            "pandaset",
-            path,
-            [PandaLidar(LidarStream("pandar64", times, names), sweeps)],
-            cameras,
-            np.stack(poses) @ T_camera_lidar(_FRONT),
-            settings.options(world=True),
-        )
+    settings = read_settings(path, RecordingSettings, {"motion_compensated": True})
+    front = path / "camera" / _FRONT
+    sweeps = in_order((path / "lidar").glob("*.pkl.gz"))
+    names = [sweep.name.removesuffix(".pkl.gz") for sweep in sweeps]
+    times = _times(front / "timestamps.json", len(sweeps), "sweeps")
+    file = front / "poses.json"
+    entries = _entries(file, len(sweeps), "sweeps")
+    poses = [_pose(entry, f"{file}, entry {k}") for k, entry in enumerate(entries)]
+    cameras = {
+        name: _camera(path / "camera" / name)
+        for name in _EXTRINSICS
+        if (path / "camera" / name).is_dir()
+    }
+    return Recording(
+        "pandaset",
+        path,
+        [FileLidar(LidarStream("pandar64", times, names), sweeps, read_sweep)],
+        cameras,
+        np.stack(poses) @ T_camera_lidar(_FRONT),
+        settings,
+        world=True,
+    )
 
 
 def read_table(file: Path, where: str) -> dict[str, NDArray[Any]]:
@@ -140,13 +127,8 @@ def read_table(file: Path, where: str) -> dict[str, NDArray[Any]]:
     MissingExtraError
         pandas is not installed.
     """
-    try:
-        from pandas import DataFrame
-        from pandas.compat.pickle_compat import Unpickler
-    except ImportError:
-        raise MissingExtraError(
-            "sweeps of PandaSet need pandas: pip install 'docdepth[pandaset]'"
-        ) from None
+    pandas = extra("pandas", "sweeps of PandaSet need pandas", "pandaset")
+    from pandas.compat.pickle_compat import Unpickler
 
     class Careful(Unpickler):  # type: ignore[misc]
         def find_class(self, module: str, name: str) -> Any:
@@ -161,7 +143,7 @@ def read_table(file: Path, where: str) -> dict[str, NDArray[Any]]:
         raise DatasetError(f"{where} is no whole table of pandas ({error}); {_COPY}") from None
     except Exception as error:  # a damaged pickle may fail in any way
         raise DatasetError(f"{where} is damaged ({error!r}); {_COPY}") from None
-    if not isinstance(table, DataFrame):
+    if not isinstance(table, pandas.DataFrame):
         raise DatasetError(f"{where} holds no table of pandas; {_COPY}")
     return {str(name): table[name].to_numpy() for name in table.columns}
 
@@ -221,6 +203,6 @@ FORMAT = Format(
     "pandaset",
     "a sequence of PandaSet with lidar/*.pkl.gz and camera/front_camera",
     lambda path: any((path / "lidar").glob("*.pkl.gz")),
-    PandaSet,
+    _open,
     experimental=True,
 )

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import threading
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from docdepth.datasets.files import unreadable
-from docdepth.errors import DatasetError, MissingExtraError
+from docdepth.datasets.files import extra, unreadable
+from docdepth.errors import DatasetError
 
 Key = tuple[int, ...]
 
@@ -87,13 +88,8 @@ class ParquetRows:
 
     def _call(self, function: Any, where: str) -> Any:
         """A result of the opened file; the lock is held, or no one else has the object."""
-        try:
-            import pyarrow
-            from pyarrow import parquet
-        except ImportError:
-            raise MissingExtraError(
-                "Parquet files need pyarrow: pip install 'docdepth[argoverse]'"
-            ) from None
+        parquet = extra("pyarrow.parquet", "Parquet files need pyarrow", "argoverse")
+        pyarrow = import_module("pyarrow")
         if not self.file.is_file():
             raise unreadable(self.file, self._remedy)
         try:

@@ -137,46 +137,36 @@ class WaymoLidar:
         return numbers.reshape(sizes)
 
 
-class Waymo(Recording):
-    """A segment: five LiDARs, five cameras, poses.
+def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
+    """``ROOT/SEGMENT``, where ROOT holds ``lidar/SEGMENT.parquet``, or ROOT of one segment.
 
     The points of the upper LiDAR are compensated for the motion of the vehicle by the pose of each
     pixel. The LiDAR frame has the axes of the vehicle and the place of the upper LiDAR. A frame is
     stamped when its pose holds, in the middle of the revolution.
-
-    Parameters
-    ----------
-    path : Path
-        ``ROOT/SEGMENT``, where ROOT holds ``lidar/SEGMENT.parquet`` and the other components; or
-        ROOT where it holds one segment.
     """
+    root = path if path.is_dir() else path.parent
+    segment = _segment(root, None if path == root else path.name)
 
-    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
-        root = path if path.is_dir() else path.parent
-        segment = _segment(root, None if path == root else path.name)
+    def file(component: str) -> Path:
+        return root / component / f"{segment}.parquet"
 
-        def file(component: str) -> Path:
-            return root / component / f"{segment}.parquet"
-
-        images = ParquetRows(file("lidar"), (FRAME, _LASER), REMEDY)
-        poses = None
-        if file("lidar_pose").is_file():
-            poses = ParquetRows(file("lidar_pose"), (FRAME, _LASER), REMEDY)
-        usual = {"motion_compensated": poses is not None}
-        settings, _ = read_settings(root, RecordingSettings, usual)
-        frames = sorted({frame for frame, laser in images.rows if laser == _TOP})
-        if not frames:
-            raise DatasetError(f"{file('lidar')} holds no sweep of the LiDAR TOP; {REMEDY}")
-        T_world_vehicle = _poses(file("vehicle_pose"), frames)
-        times = _times(file("camera_image"), frames, T_world_vehicle)
-        lidars = _lidars(file("lidar_calibration"), images, poses, frames, times, T_world_vehicle)
-        T_vehicle_lidar = inverse(lidars[0].T_own_vehicle)
-        cameras = read_cameras(
-            file("camera_calibration"), file("camera_image"), T_vehicle_lidar, lidars[0].stream
-        )
-        super().__init__(
-            "waymo", root, lidars, cameras, T_world_vehicle @ T_vehicle_lidar, settings.options()
-        )
+    images = ParquetRows(file("lidar"), (FRAME, _LASER), REMEDY)
+    poses = None
+    if file("lidar_pose").is_file():
+        poses = ParquetRows(file("lidar_pose"), (FRAME, _LASER), REMEDY)
+    usual = {"motion_compensated": poses is not None}
+    settings = read_settings(root, RecordingSettings, usual)
+    frames = sorted({frame for frame, laser in images.rows if laser == _TOP})
+    if not frames:
+        raise DatasetError(f"{file('lidar')} holds no sweep of the LiDAR TOP; {REMEDY}")
+    T_world_vehicle = _poses(file("vehicle_pose"), frames)
+    times = _times(file("camera_image"), frames, T_world_vehicle)
+    lidars = _lidars(file("lidar_calibration"), images, poses, frames, times, T_world_vehicle)
+    T_vehicle_lidar = inverse(lidars[0].T_own_vehicle)
+    cameras = read_cameras(
+        file("camera_calibration"), file("camera_image"), T_vehicle_lidar, lidars[0].stream
+    )
+    return Recording("waymo", root, lidars, cameras, T_world_vehicle @ T_vehicle_lidar, settings)
 
 
 def _segment(root: Path, name: str | None) -> str:
@@ -319,6 +309,6 @@ FORMAT = Format(
     "ROOT/SEGMENT of the Waymo Open Dataset, version 2, where ROOT holds lidar/SEGMENT.parquet, "
     "lidar_calibration, vehicle_pose and other components",
     _recognises,
-    Waymo,
+    _open,
     experimental=True,
 )

@@ -11,7 +11,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from docdepth.errors import DatasetError, MissingExtraError
+from docdepth.datasets.files import extra
+from docdepth.errors import DatasetError
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 
@@ -187,11 +188,10 @@ def bag_files(path: Path) -> list[Path]:
 
 
 def _open_reader(path: Path, files: list[Path]) -> Any:
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-    except ImportError:
-        raise MissingExtraError("bags need rosbags: pip install 'docdepth[bags]'") from None
+    extra("rosbags", "bags need rosbags", "bags")
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
     types = get_typestore(Stores.LATEST)
     for name, text in _DEFINITIONS.items():
         types.register(get_types_from_msg(text, name))

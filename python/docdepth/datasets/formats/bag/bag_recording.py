@@ -35,7 +35,6 @@ from docdepth.datasets.settings import (
     transform,
 )
 from docdepth.errors import CalibrationError, DatasetError
-from docdepth.io.poses import read_poses_at
 
 log = logging.getLogger(__name__)
 
@@ -118,33 +117,23 @@ class BagLidar:
         return list(self.bag.files)
 
 
-class BagRecording(Recording):
-    """A bag with points, and perhaps images, CameraInfo and static transforms.
-
-    Parameters
-    ----------
-    path : Path
-        A ``.bag``, ``.mcap`` or ``.db3`` file, or the folder of a bag. ``docdepth.yaml`` in the
-        folder or beside the file has the entries of :class:`BagSettings`.
-    """
-
-    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
-        settings, file = read_settings(path, BagSettings)
-        bag = BagFile(path)
-        topics = _lidar_topics(bag, settings, file)
-        images = [topic for topic, kind in bag.topics.items() if kind in IMAGES]
-        index = bag.index([*topics, *images])
-        static = [t for t, k in bag.topics.items() if k == TRANSFORMS and t.endswith("tf_static")]
-        messages = (message for topic in static for message in bag.read_all(topic))
-        frames = StaticFrames(messages, partial(still_transforms, bag))
-        lidars = _lidars(bag, topics, index, settings, frames, file)
-        lidars[0], poses = _with_poses(lidars[0], settings, frames, file)
-        where = BagRig(bag, frames, lidars[0].messages[0].frame, file)
-        streams = _cameras(where, images, index, lidars[0].stream, settings)
-        cameras = {n: s for n, s in streams.items() if isinstance(s, CameraStream)}
-        uncalibrated = {n: s for n, s in streams.items() if isinstance(s, ImageStream)}
-        options = settings.options()
-        super().__init__("bag", path, lidars, cameras, poses, options, uncalibrated=uncalibrated)
+def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
+    """A bag with points, and perhaps images, CameraInfo and static transforms."""
+    settings = read_settings(path, BagSettings)
+    bag = BagFile(path)
+    topics = _lidar_topics(bag, settings)
+    images = [topic for topic, kind in bag.topics.items() if kind in IMAGES]
+    index = bag.index([*topics, *images])
+    static = [t for t, k in bag.topics.items() if k == TRANSFORMS and t.endswith("tf_static")]
+    messages = (message for topic in static for message in bag.read_all(topic))
+    frames = StaticFrames(messages, partial(still_transforms, bag))
+    lidars = _lidars(bag, topics, index, settings, frames)
+    lidars[0], poses = _with_poses(lidars[0], settings, frames)
+    rig = BagRig(bag, frames, lidars[0].messages[0].frame, settings.file)
+    streams = _cameras(rig, images, index, lidars[0].stream, settings)
+    cameras = {n: s for n, s in streams.items() if isinstance(s, CameraStream)}
+    uncalibrated = {n: s for n, s in streams.items() if isinstance(s, ImageStream)}
+    return Recording("bag", path, lidars, cameras, poses, settings, uncalibrated=uncalibrated)
 
 
 def _lidars(
@@ -153,9 +142,9 @@ def _lidars(
     index: dict[str, list[Message]],
     settings: BagSettings,
     frames: StaticFrames,
-    file: Path,
 ) -> list[BagLidar]:
     lidars: list[BagLidar] = []
+    file = settings.file
     for topic in topics:
         if not index[topic]:
             raise DatasetError(f"{bag.path}, {topic}: there is no message; record the topic again")
@@ -185,14 +174,12 @@ def _angles(
 
 
 def _with_poses(
-    lidar: BagLidar, settings: BagSettings, frames: StaticFrames, file: Path
+    lidar: BagLidar, settings: BagSettings, frames: StaticFrames
 ) -> tuple[BagLidar, NDArray[np.float64] | None]:
     """The first LiDAR, and the poses of its sweeps; without sweeps that the topic lacks."""
-    wanted = settings.poses
-    if not wanted:
-        return lidar, None
-    if (file.parent / wanted).is_file() or not wanted.startswith("/"):
-        return lidar, read_poses_at(file.parent / wanted, lidar.stream.times)
+    wanted, file = settings.poses, settings.file
+    if not wanted or (file.parent / wanted).is_file() or not wanted.startswith("/"):
+        return lidar, settings.poses_at(lidar.stream.times)
     T = settings.T_odometry_lidar
     body = Body(
         frames,
@@ -285,8 +272,9 @@ def _distinct(times: list[int], topic: str, path: Path, file: Path) -> NDArray[n
     return found
 
 
-def _lidar_topics(bag: BagFile, settings: BagSettings, file: Path) -> list[str]:
+def _lidar_topics(bag: BagFile, settings: BagSettings) -> list[str]:
     """The topics of points that make the sweeps."""
+    file = settings.file
     readable = [topic for topic, kind in bag.topics.items() if reader_of(kind)]
     if settings.lidars:
         for topic in settings.lidars:
@@ -360,5 +348,5 @@ FORMAT = Format(
     "bag",
     "a ROS 1, ROS 2 or MCAP bag (.bag, .mcap, .db3, or the folder of a rosbag2)",
     _recognises,
-    BagRecording,
+    _open,
 )

@@ -184,10 +184,10 @@ def read_angles(file: Path) -> NDArray[np.float64]:
 
 
 def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
-    settings, file = read_settings(path, HesaiSettings)
-    angles = read_angles(file.parent / settings.angles) if settings.angles else DESIGNED
+    settings = read_settings(path, HesaiSettings)
+    angles = read_angles(settings.file.parent / settings.angles) if settings.angles else DESIGNED
     capture = PacketCapture(path, _KIND, partial(decode_packets, angles=angles))
-    return recording_of(capture, settings, file)
+    return recording_of(capture, settings)
 
 
 def _recognises(path: Path) -> bool:

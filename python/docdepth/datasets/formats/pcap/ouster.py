@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-import warnings
 import weakref
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +12,12 @@ import numpy as np
 
 from docdepth.datasets.base import LidarStream
 from docdepth.datasets.cloud import Cloud
+from docdepth.datasets.files import extra
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
-from docdepth.errors import DatasetError, MissingExtraError
-from docdepth.io.poses import read_poses_at
+from docdepth.errors import DatasetError
 
 _MICROSECOND = 1000  # ns
 _MILLIMETRE = 1e-3
@@ -122,17 +120,10 @@ class OusterCapture:
 
 
 def _open_source(path: Path, metadata: Path) -> Any:
+    what = "Ouster captures need ouster-sdk, by itself (it wants another rosbags than bags do)"
+    sdk = extra("ouster.sdk", what, "ouster")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            from ouster.sdk import open_source
-    except ImportError:
-        raise MissingExtraError(
-            "Ouster captures need ouster-sdk: pip install 'docdepth[ouster]', by itself: it wants "
-            "another rosbags than bags do"
-        ) from None
-    try:
-        source = open_source(str(path), index=True, meta=[str(metadata)])
+        source = sdk.open_source(str(path), index=True, meta=[str(metadata)])
     except Exception as error:  # the SDK raises RuntimeError, ValueError and its own
         raise DatasetError(
             f"{path} with {metadata} is no capture that ouster-sdk opens ({error}); copy both again"
@@ -153,17 +144,16 @@ def _frame(source: Any, index: int, where: str) -> Any:
 
 
 def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
-    settings, file = read_settings(path, OusterSettings)
+    settings = read_settings(path, OusterSettings)
+    file = settings.file
     metadata = file.parent / settings.metadata if settings.metadata else _metadata_of(path, file)
     if not metadata.is_file():
         raise DatasetError(f"{metadata} is missing; say metadata: FILE in {file}")
     capture = OusterCapture(path, metadata)
-    options = settings.options()
-    place = options.sensor_origin or (0.0, 0.0, capture.height)
-    poses = None
-    if settings.poses:
-        poses = read_poses_at(file.parent / settings.poses, capture.stream.times)
-    return Recording("ouster", path, [capture], {}, poses, replace(options, sensor_origin=place))
+    poses = settings.poses_at(capture.stream.times)
+    if settings.sensor_origin is None:
+        settings = settings.model_copy(update={"sensor_origin": (0.0, 0.0, capture.height)})
+    return Recording("ouster", path, [capture], {}, poses, settings)
 
 
 def _metadata_of(path: Path, file: Path) -> Path:

@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import LidarStream
 from docdepth.datasets.cloud import Cloud
-from docdepth.datasets.files import unreadable
+from docdepth.datasets.files import extra, unreadable
 from docdepth.datasets.kitti_files import check_increasing
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings
-from docdepth.errors import DatasetError, MissingExtraError
-from docdepth.io.poses import read_poses_at
+from docdepth.errors import DatasetError
 
 log = logging.getLogger(__name__)
 
@@ -103,12 +102,11 @@ class PacketCapture:
         return [self.path]
 
 
-def recording_of(capture: PacketCapture, settings: RecordingSettings, file: Path) -> Recording:
-    """A capture with the poses and options that its ``docdepth.yaml``, ``file``, tells."""
-    stream, poses = capture.stream, None
-    if settings.poses:
-        poses = read_poses_at(file.parent / settings.poses, stream.times)
-    return Recording(stream.name, capture.path, [capture], {}, poses, settings.options())
+def recording_of(capture: PacketCapture, settings: RecordingSettings) -> Recording:
+    """A capture with the poses and options that its ``docdepth.yaml`` tells."""
+    stream = capture.stream
+    poses = settings.poses_at(stream.times)
+    return Recording(stream.name, capture.path, [capture], {}, poses, settings)
 
 
 def _scan(
@@ -133,12 +131,7 @@ def _scan(
 
 def _packets(path: Path, kind: Packets) -> Iterator[tuple[int, int, int, bytes]]:
     """Arrival, place, azimuth and sender of each packet of points."""
-    try:
-        import dpkt
-    except ImportError:
-        raise MissingExtraError(
-            "captures of packets need dpkt: pip install 'docdepth[velodyne]'"
-        ) from None
+    dpkt = extra("dpkt", "captures of packets need dpkt", "velodyne")
     with path.open("rb") as stream:
         try:
             reader = dpkt.pcap.Reader(stream)

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from docdepth.datasets.cloud import Cloud, cloud_from_fields
+from docdepth.datasets.files import extra
 from docdepth.datasets.format import Format
 from docdepth.datasets.formats.pcap.packet_capture import PacketCapture, Packets, recording_of
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
-from docdepth.errors import DatasetError, MissingExtraError
+from docdepth.errors import DatasetError
 
 _KIND = Packets("Velodyne", 1206, 2)
 
@@ -77,27 +78,15 @@ def _hdl64(capture: Path) -> tuple[Any, Any]:
 
 
 def velodyne_decoder() -> Any:
-    """The library.
-
-    Raises
-    ------
-    MissingExtraError
-        It is not installed.
-    """
-    try:
-        import velodyne_decoder as library
-    except ImportError:
-        raise MissingExtraError(
-            "Velodyne packets need velodyne-decoder: pip install 'docdepth[velodyne]'"
-        ) from None
-    return library
+    """The library; an error tells what to install."""
+    return extra("velodyne_decoder", "Velodyne packets need velodyne-decoder", "velodyne")
 
 
 def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
-    settings, file = read_settings(path, RecordingSettings)
+    settings = read_settings(path, RecordingSettings)
     velodyne_decoder()  # tells what to install before the capture is searched
     capture = PacketCapture(path, _KIND, partial(decode_packets, capture=path))
-    return recording_of(capture, settings, file)
+    return recording_of(capture, settings)
 
 
 def _recognises(path: Path) -> bool:
