@@ -9,7 +9,7 @@ from email.message import Message
 import pytest
 
 from docdepth.cli import doctor as examined
-from docdepth.cli.doctor import doctor, requirements
+from docdepth.cli.doctor import examine_all, requirements
 
 
 @pytest.fixture
@@ -66,7 +66,7 @@ def test_extras_are_those_of_the_package(metadata):
 
 
 def test_what_cannot_be_imported_is_not_well(metadata):
-    rows = {name: (finding, well) for name, finding, well in doctor()}
+    rows = {name: (finding, well) for name, finding, well in examine_all()}
     assert rows["numpy"] == ("2.0", True)
     assert rows["broken-library"] == ("1.1 cannot be imported: undefined symbol", False)
     assert rows["extra viz"] == (

@@ -13,7 +13,7 @@ import yaml
 
 from command_line import cli
 from docdepth.cli.config_file import read_config
-from docdepth.cli.names import SCENE_NAMES
+from docdepth.cli.synth import SCENE_NAMES
 from docdepth.config import Parameters, parameters
 from docdepth.io.run_folder import RunFolder
 

@@ -6,14 +6,14 @@ import logging
 
 import pytest
 
-from docdepth.cli import progress, terminal
-from docdepth.cli.progress import duration, progress_lines
+from docdepth.cli import terminal
+from docdepth.cli.terminal import _duration, progress_lines
 
 
 @pytest.fixture
 def lines(monkeypatch):
     told = []
-    monkeypatch.setattr(progress.err, "print", lambda line, **options: told.append(line))
+    monkeypatch.setattr(terminal.err, "print", lambda line, **options: told.append(line))
     return told
 
 
@@ -59,7 +59,7 @@ def test_what_was_done_before_does_not_count_into_the_estimate(lines):
     ("seconds", "text"), [(0, "0:00"), (7.4, "0:07"), (59.6, "1:00"), (3723, "1:02:03")]
 )
 def test_durations(seconds, text):
-    assert duration(seconds) == text
+    assert _duration(seconds) == text
 
 
 @pytest.mark.parametrize("what", ["labels", "depth"])

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from docdepth.cli.changes import changes_since_start
+from docdepth.cli.status import changes_since_start
 from docdepth.config import replaced
 from docdepth.io.run_folder import RunFolder
 

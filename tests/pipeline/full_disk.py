@@ -42,8 +42,8 @@ def main(drive: Path, disk: Path) -> None:
             run(drive, disk / "run", camera="image_2", threads=2, progress=progress)
             said = ""
         except Exception as error:
-            failure = explain(error)
-            said = f"{type(error).__name__}: {failure.sentence if failure else repr(error)}"
+            failure = explain(error) or repr(error)
+            said = f"{type(error).__name__}: {failure}"
         parts = [path.name for path in (disk / "run").rglob("*.part")]
         known = {s.name: s.frames for s in states(RunFolder.open(disk / "run"))}
         told.append({"moment": moment, "said": said, "parts": parts, "done": known})

@@ -12,37 +12,23 @@ from typing import Annotated
 
 import typer
 
-from docdepth.cli import (
+from docdepth._core import __version__
+from docdepth.cli import (  # noqa: F401
     calibrate,
     check,
     convert,
+    doctor,
     evaluate,
     inspect,
     look,
     stages,
     status,
-    support,
     synth,
     tune,
 )
 from docdepth.cli.failures import STOPPED, report
-from docdepth.cli.terminal import Quiet, Verbose, app, out, print_any_path, set_volume
-
-__all__ = [
-    "app",
-    "calibrate",
-    "check",
-    "convert",
-    "evaluate",
-    "inspect",
-    "look",
-    "main",
-    "stages",
-    "status",
-    "support",
-    "synth",
-    "tune",
-]
+from docdepth.cli.options import Quiet, Verbose
+from docdepth.cli.terminal import app, out, print_any_path, set_volume
 
 
 @app.callback(invoke_without_command=True)
@@ -54,8 +40,6 @@ def options(
     """Set up what every verb shares."""
     set_volume(quiet, verbose)
     if version:
-        from docdepth._core import __version__
-
         out.print(__version__)
         raise typer.Exit
 

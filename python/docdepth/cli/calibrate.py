@@ -5,110 +5,91 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.table import Table
 
-from docdepth.cli.names import one_of
-from docdepth.cli.options import DatasetName, Frames, Json
-from docdepth.cli.progress import progress_bars
-from docdepth.cli.summary import show_json
-from docdepth.cli.terminal import app, out, verb
+from docdepth.cli.options import DatasetName, Json, one_of, option, option_of, verb
+from docdepth.cli.terminal import out, progress_bars, say, show_json
+from docdepth.datasets import Dataset, ImageStream, image_streams, open_dataset
+from docdepth.errors import CalibrationError, ConfigError
+from docdepth.evaluation.camera_error import check_calibration
+from docdepth.evaluation.time_offset import TimeOffset, image_times, time_offset
+from docdepth.geometry.se3 import inverse
+from docdepth.io.atomic import write_atomically
+from docdepth.io.inputs import RunInputs
+from docdepth.pipeline.depth_files import encode_image
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+if TYPE_CHECKING:  # it needs an extra
     from docdepth.calibration.calibrate import Calibration
-    from docdepth.calibration.lens import Lens
-    from docdepth.datasets import Dataset, ImageStream
-
-LENSES = ("pinhole", "fisheye")
 
 
-BoardRecording = Annotated[
-    Path,
-    typer.Argument(
-        metavar="RECORDING",
-        help="Images and sweeps of a checkerboard in 10 poses or more: a folder with "
-        "docdepth.yaml, or a bag. With --check and --time a run.",
-    ),
-]
-Corners = Annotated[
-    str | None,
-    typer.Option(metavar="CxR", help="Inner corners of the checkerboard: columns, rows."),
-]
-Square = Annotated[float | None, typer.Option(metavar="M", help="Side of a square, metres.")]
-Outline = Annotated[
-    str | None,
-    typer.Option(
-        metavar="WxH",
-        help="Outline of the board along the columns and along the rows, metres; the checkerboard "
-        "is in its middle.",
-    ),
-]
-ResultFolder = Annotated[
-    Path | None,
-    typer.Option(
-        "-o",
-        "--output",
-        metavar="DIR",
-        help="Folder for the result, created; with --check for a picture, with "
-        "--time for the times.",
-    ),
-]
-Check = Annotated[
-    bool,
-    typer.Option(
-        "--check",
-        help="RECORDING is a run: tell whether depth edges lie on edges of its images, and by how "
-        "much the calibration is off.",
-    ),
-]
-OneOfSeveral = Annotated[
-    str | None,
-    typer.Option("--camera", metavar="NAME", help="Camera; needed where there are several."),
-]
-LensName = Annotated[
-    str | None,
-    typer.Option(
-        "--lens",
-        help="Estimate K and the distortion of such a lens: pinhole or fisheye. If absent, those "
-        "of the recording are taken, or those of a pinhole estimated if it has none.",
-        **one_of(LENSES),
-    ),
-]
-Boxes = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--box",
-        metavar="[IMAGE:]X,X,Y,Y,Z,Z",
-        help="Least and greatest x, y and z of the board in the LiDAR frame, metres, of one image "
-        "or of all: where a wall or a person is too near behind it.",
-    ),
-]
-Time = Annotated[
-    bool,
-    typer.Option(
-        "--time",
-        help="RECORDING is a run: estimate by how much the clocks of camera and LiDAR differ.",
-    ),
-]
-
-
-@verb(app)
+@verb()
 def calibrate(
-    recording: BoardRecording,
-    corners: Corners = None,
-    square: Square = None,
-    board: Outline = None,
-    output: ResultFolder = None,
-    check: Check = False,
-    time: Time = False,
+    recording: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORDING",
+            help="Images and sweeps of a checkerboard in 10 poses or more: a folder with "
+            "docdepth.yaml, or a bag. With --check and --time a run.",
+        ),
+    ],
+    corners: Annotated[
+        str | None, option("Inner corners of the checkerboard: columns, rows.", "CxR")
+    ] = None,
+    square: Annotated[float | None, option("Side of a square, metres.", "M")] = None,
+    board: Annotated[
+        str | None,
+        option(
+            "Outline of the board along the columns and along the rows, metres; the checkerboard "
+            "is in its middle.",
+            "WxH",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        option(
+            "Folder for the result, created; with --check for a picture, with --time for the "
+            "times.",
+            "DIR",
+            "-o --output",
+        ),
+    ] = None,
+    check: Annotated[
+        bool,
+        option(
+            "RECORDING is a run: tell whether depth edges lie on edges of its images, and by how "
+            "much the calibration is off.",
+            flags="--check",
+        ),
+    ] = False,
+    time: Annotated[
+        bool,
+        option(
+            "RECORDING is a run: estimate by how much the clocks of camera and LiDAR differ.",
+            flags="--time",
+        ),
+    ] = False,
     dataset: DatasetName = None,
-    camera: OneOfSeveral = None,
-    frames: Frames = None,
-    lens: LensName = None,
-    box: Boxes = None,
+    camera: Annotated[str | None, option("Camera; needed where there are several.", "NAME")] = None,
+    frames: Annotated[str | None, option_of(RunInputs, "frames")] = None,
+    lens: Annotated[
+        str | None,
+        option(
+            "Estimate K and the distortion of such a lens: pinhole or fisheye. If absent, those of "
+            "the recording are taken, or those of a pinhole estimated if it has none.",
+            **one_of(("pinhole", "fisheye")),
+        ),
+    ] = None,
+    box: Annotated[
+        list[str] | None,
+        option(
+            "Least and greatest x, y and z of the board in the LiDAR frame, metres, of one image "
+            "or of all: where a wall or a person is too near behind it.",
+            "[IMAGE:]X,X,Y,Y,Z,Z",
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Find K, the distortion and the place of a camera from a checkerboard.
@@ -120,89 +101,65 @@ def calibrate(
       docdepth calibrate --check RUN
       docdepth calibrate --time RUN -o times
     """
-    from docdepth.errors import ConfigError
-
     if check or time:
         of_boards = (corners, square, board, dataset, frames, lens, box)
         if (check and time) or any(one is not None for one in of_boards):
             raise ConfigError(
                 "--check and --time take a run, --camera, -o and --json; leave the others out"
             )
-        of_run = _check_run if check else _compare_clocks
-        return of_run(recording, camera, output, as_json)
+        return _check_run(recording, camera, output, as_json, clocks=time)
     if corners is None or square is None or board is None or output is None:
         raise ConfigError(
             "a checkerboard needs --corners, --square, --board and -o; to check a run say --check"
         )
     from docdepth.calibration.board import parse_board
     from docdepth.calibration.calibrate import calibrate as calibrate_pairs
+    from docdepth.calibration.lens import Lens
     from docdepth.calibration.pairs import board_pairs
     from docdepth.calibration.result import quality_of, write_result
-    from docdepth.datasets import open_dataset
 
     target, boxes = parse_board(corners, square, board), _boxes(box)
     drive = open_dataset(recording, dataset, frames=frames)
     stream = _stream(drive, camera)
-    _check_output(output, stream)
-    known = None if lens else _lens_of(stream)
-    model = lens or stream.model
+    if any(image.parent.resolve() == output.resolve() for image in stream.images):
+        raise ConfigError(f"{output} holds the images of {stream.name}; choose another folder (-o)")
+    known = None
+    if stream.camera is not None and not lens:
+        K, width, height = stream.camera.K, stream.camera.width, stream.camera.height
+        distortion = np.zeros(5) if stream.distortion is None else stream.distortion
+        known = Lens(stream.model, K, distortion, width, height)
     with progress_bars() as progress:
         pairs, size = board_pairs(drive, stream, target, boxes, progress)
-        found = calibrate_pairs(target, pairs, size, known, model, progress)
+        found = calibrate_pairs(target, pairs, size, known, lens or stream.model, progress)
         write_result(output, stream.name, target, pairs, found, progress)
+    quality = quality_of(found)
     if as_json:
-        return show_json(quality_of(found))
-    _show(found, known is None, output)
+        return show_json(quality)
+    return _show(found, quality, known is None, output)
 
 
-def _check_run(run: Path, camera: str | None, output: Path | None, as_json: bool) -> None:
-    """Print what depth edges say about the calibration of a run."""
-    from docdepth.evaluation.camera_error import check_calibration
-    from docdepth.pipeline.depth_files import encode_image
-
+def _check_run(
+    run: Path, camera: str | None, output: Path | None, as_json: bool, clocks: bool
+) -> None:
+    """Print what images say of the calibration of a run, or of its clocks; write the remedy."""
     with progress_bars() as progress:
-        found = check_calibration(run, camera, progress)
-    lines = found.lines
+        found = (time_offset if clocks else check_calibration)(run, camera, progress)
+    lines = list(found.lines)
     if output is not None:
-        path = _write(output / f"{found.worst}.jpg", encode_image(found.picture, ".jpg"))
-        lines.append(f"{path}: depth edges as they are red, where they fit green")
-    _print(lines, found.figures, as_json)
-
-
-def _compare_clocks(run: Path, camera: str | None, output: Path | None, as_json: bool) -> None:
-    """Print the offset of the clocks of a run, and write times with it."""
-    from docdepth.evaluation.time_offset import image_times, time_offset
-
-    with progress_bars() as progress:
-        found = time_offset(run, camera, progress)
-    lines = found.lines
-    if output is not None:
-        times = found.corrected(image_times(run, camera))
-        path = _write(output / "camera_times.txt", times.encode())
-        lines.append(f"with them: docdepth run RECORDING --camera-times {path} -o RUN")
-    _print(lines, found.figures, as_json)
-
-
-def _write(path: Path, content: bytes) -> Path:
-    from docdepth.io.atomic import write_atomically
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, lambda stream: stream.write(content))
-    return path
-
-
-def _print(lines: list[str], figures: dict[str, Any], as_json: bool) -> None:
-    if as_json:
-        return show_json(figures)
-    for line in lines:
-        out.print(line, soft_wrap=True, markup=False)
+        if isinstance(found, TimeOffset):
+            name, content = "camera_times.txt", found.corrected(image_times(run, camera)).encode()
+            use = f"with them: docdepth run RECORDING --camera-times {output / name} -o RUN"
+        else:
+            name, content = f"{found.worst}.jpg", encode_image(found.picture, ".jpg")
+            use = f"{output / name}: depth edges as they are red, where they fit green"
+        output.mkdir(parents=True, exist_ok=True)
+        write_atomically(output / name, lambda stream: stream.write(content))
+        lines.append(use)
+    return show_json(found.figures) if as_json else say(*lines)
 
 
 def _stream(recording: Dataset, name: str | None) -> ImageStream:
     """The camera to calibrate."""
-    from docdepth.datasets import image_streams
-    from docdepth.errors import CalibrationError
-
     streams = image_streams(recording)
     if not streams:
         raise CalibrationError(
@@ -219,33 +176,8 @@ def _stream(recording: Dataset, name: str | None) -> ImageStream:
     return streams[name]
 
 
-def _check_output(output: Path, stream: ImageStream) -> None:
-    """Pictures must not replace images: they have their names."""
-    from docdepth.errors import ConfigError
-
-    if any(image.parent.resolve() == output.resolve() for image in stream.images):
-        raise ConfigError(f"{output} holds the images of {stream.name}; choose another folder (-o)")
-
-
-def _lens_of(stream: ImageStream) -> Lens | None:
-    """K and distortion of the recording, if it has them."""
-    import numpy as np
-
-    from docdepth.calibration.lens import Lens
-
-    if stream.camera is None:
-        return None
-    distortion = np.zeros(5) if stream.distortion is None else stream.distortion
-    camera = stream.camera
-    return Lens(stream.model, camera.K, distortion, camera.width, camera.height)
-
-
 def _boxes(texts: list[str] | None) -> dict[str, NDArray[np.float64]]:
     """Boxes by the names of images; "" for all."""
-    import numpy as np
-
-    from docdepth.errors import ConfigError
-
     boxes = {}
     for text in texts or []:
         name, _, numbers = text.rpartition(":")
@@ -262,11 +194,7 @@ def _boxes(texts: list[str] | None) -> dict[str, NDArray[np.float64]]:
     return boxes
 
 
-def _show(found: Calibration, estimated: bool, output: Path) -> None:
-    from docdepth.calibration.result import quality_of
-    from docdepth.geometry.se3 import inverse
-
-    quality = quality_of(found)
+def _show(found: Calibration, quality: dict[str, Any], estimated: bool, output: Path) -> None:
     table = Table("board", "corners px", "plane cm", "left out px", "left out cm", box=None)
     for name, one in quality["boards"].items():
         cells = (one[key] for key in ("corners_px", "plane_cm", "left_out_px", "left_out_cm"))
@@ -297,5 +225,4 @@ def _show(found: Calibration, estimated: bool, output: Path) -> None:
         )
     lines.append(f"look at the pictures in {output}, then: docdepth run RECORDING --calibration "
                  f"{output / 'calib.json'} -o RUN")  # fmt: skip
-    for line in lines:
-        out.print(line, soft_wrap=True, markup=False)
+    say(*lines)

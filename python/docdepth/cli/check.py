@@ -13,17 +13,18 @@ from docdepth.cli.options import (
     PresetName,
     Scale,
     Settings,
-    changes_of,
-    output_of,
-    with_options,
+    changes,
+    option,
+    verb,
 )
-from docdepth.cli.summary import show_findings
-from docdepth.cli.terminal import app, out, verb
+from docdepth.cli.status import show_findings
+from docdepth.cli.terminal import say
+from docdepth.config import parameters
 from docdepth.io.inputs import RunInputs
+from docdepth.pipeline.check import report_inputs
 
 
-@verb(app)
-@with_options(inputs=RunInputs, but=("on_error", "hash_inputs"))
+@verb(inputs=RunInputs, but=("on_error", "hash_inputs"))
 def check(
     recording: Annotated[
         Path,
@@ -33,9 +34,7 @@ def check(
     ],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o", "--output", metavar="RUN", help="Run folder: is there room, may you write there?"
-        ),
+        option("Run folder: is there room, may you write there?", "RUN", "-o --output"),
     ] = None,
     *,
     inputs: dict[str, Any],
@@ -49,13 +48,9 @@ def check(
 
     docdepth check 2011_09_26_drive_0005_sync --camera image_02
     """
-    from docdepth.config import parameters
-    from docdepth.pipeline.check import report_inputs
-
-    changes = changes_of(settings) | output_of(format, scale, layers)
-    given = RunInputs(recording=recording, **inputs)
-    report = report_inputs(given, parameters(preset, changes), output)  # type: ignore[arg-type]
+    values = parameters(preset, changes(settings, format, scale, layers))  # type: ignore[arg-type]
+    report = report_inputs(RunInputs(recording=recording, **inputs), values, output)
     show_findings(report.findings)
     if any(found.severity == "error" for found in report.findings):
         raise typer.Exit(2)
-    out.print(f"ok: {report.summary}", soft_wrap=True, markup=False)
+    say(f"ok: {report.summary}")

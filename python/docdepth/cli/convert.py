@@ -7,16 +7,15 @@ from typing import Annotated
 
 import typer
 
-from docdepth.cli.names import one_of
-from docdepth.cli.options import DatasetName
-from docdepth.cli.progress import progress_bars
-from docdepth.cli.terminal import app, out, verb, volume
+from docdepth.cli.options import DatasetName, one_of, option, verb
+from docdepth.cli.terminal import progress_bars, say, volume
 from docdepth.io.labels import LABEL_FORMATS
 from docdepth.io.poses import POSE_FORMATS
+from docdepth.pipeline import convert as converting
 from docdepth.pipeline.convert import DEPTH_FORMATS
 
 
-@verb(app)
+@verb()
 def convert(
     source: Annotated[
         Path,
@@ -32,9 +31,8 @@ def convert(
     ],
     to: Annotated[
         str,
-        typer.Option(
-            "--to",
-            help=f"Poses: {', '.join(POSE_FORMATS)}. Labels: label (SemanticKITTI), classid (NPY), "
+        option(
+            f"Poses: {', '.join(POSE_FORMATS)}. Labels: label (SemanticKITTI), classid (NPY), "
             "pcd (as DynamicMap_Benchmark, the class as intensity). Depth: proj_depth (as KITTI "
             "releases it, OUT/DRIVE/proj_depth/groundtruth/CAMERA).",
             **one_of((*POSE_FORMATS, *LABEL_FORMATS, *DEPTH_FORMATS)),
@@ -43,10 +41,8 @@ def convert(
     dataset: DatasetName = None,
     camera: Annotated[
         str | None,
-        typer.Option(
-            "--camera",
-            metavar="NAME",
-            help="Write the poses of this camera, as KITTI has them; of the LiDAR if absent.",
+        option(
+            "Write the poses of this camera, as KITTI has them; of the LiDAR if absent.", "NAME"
         ),
     ] = None,
 ) -> None:
@@ -56,10 +52,8 @@ def convert(
     docdepth convert RUN labels --to classid
     docdepth convert RUN release --to proj_depth
     """
-    from docdepth.pipeline.convert import convert as write
-
     with progress_bars() as progress:
-        count = write(source, output, to, dataset, camera, progress)
+        count = converting.convert(source, output, to, dataset, camera, progress)
     if not volume.quiet:
         what = "poses" if to in POSE_FORMATS else "depth maps" if to in DEPTH_FORMATS else "sweeps"
-        out.print(f"{count} {what} in {output}", soft_wrap=True, markup=False)
+        say(f"{count} {what} in {output}")

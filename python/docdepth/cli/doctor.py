@@ -1,4 +1,4 @@
-"""What this installation can do, and why it cannot do the rest."""
+"""Verbs that tell about docdepth itself: its parameters, and what this installation can do."""
 
 from __future__ import annotations
 
@@ -8,8 +8,15 @@ import os
 import platform
 import re
 from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
+
+import typer
 
 from docdepth._core import __version__
+from docdepth.cli.options import Json, one_of, verb
+from docdepth.cli.terminal import out, say, show_json
+from docdepth.config import STAGES
+from docdepth.parameter_table import parameter_table
 from docdepth.render import backends
 
 # Debian's packages of the system libraries that Python packages load.
@@ -27,7 +34,54 @@ _DEBIAN = {
 }
 
 
-def doctor() -> list[tuple[str, str, bool]]:
+@verb()
+def parameters(
+    stage: Annotated[
+        str | None,
+        typer.Argument(
+            help=f"Stage: {', '.join(STAGES)}; all if absent.",
+            show_default=False,
+            **one_of(STAGES) | {"metavar": "STAGE"},
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """List the parameters that --set takes: values, ranges, and what each is for."""
+    rows = [r for r in parameter_table() if stage in (None, r["name"].partition(".")[0])]
+    if as_json:
+        return show_json(rows)
+    for row in rows:
+        unit = f" {row['unit']}" if row["unit"] else ""
+        paper = "" if row["paper"] == row["default"] else f", paper {_shown(row['paper'])}"
+        symbol = f" ({row['symbol']} in the paper)" if row["symbol"] else ""
+        values = f"{_shown(row['default'])}{unit}{paper}"
+        allowed = f"allowed: {row['range']}" + (unit if row["unit"] else "")
+        out.print(f"[bold]{row['name']}[/bold]  {values}; {allowed}", soft_wrap=True)
+        say(f"    {row['description']}{symbol}")
+
+
+def _shown(value: Any) -> str:
+    """A value as ``--set`` takes it."""
+    if isinstance(value, tuple | list):
+        texts = [_shown(v) for v in value]
+        return ",".join(texts) if texts else "none"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+@verb()
+def doctor(as_json: Json = False) -> None:
+    """List what this installation can do, and what it lacks.
+
+    Each package is imported and each renderer tried.
+    """
+    rows = examine_all()
+    if as_json:
+        return show_json([{"name": n, "finding": f, "ok": well} for n, f, well in rows])
+    for name, finding, well in rows:
+        say(f"{'ok' if well else '--'}  {name:<24} {finding}")
+
+
+def examine_all() -> list[tuple[str, str, bool]]:
     """Rows of name, finding, and whether it is well.
 
     Returns

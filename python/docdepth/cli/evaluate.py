@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from docdepth.cli.names import MODES, one_of
-from docdepth.cli.options import Json, OneCamera, RunPath, Threads
-from docdepth.cli.progress import progress_bars
-from docdepth.cli.summary import show, show_findings
-from docdepth.cli.terminal import app, err, out, verb
+from docdepth.cli.options import MODES, Json, OneCamera, RunPath, Threads, one_of, verb
+from docdepth.cli.status import show, show_findings
+from docdepth.cli.terminal import app, err, progress_bars, say
 from docdepth.errors import Finding, RunError
 
 if TYPE_CHECKING:
@@ -207,8 +205,7 @@ def depth(
         )  # fmt: skip
     show(result, as_json)
     if not as_json:
-        out.print()
-        out.print(str(result.kitti_table()), soft_wrap=True, markup=False)
+        say("", str(result.kitti_table()))
     _write(page, html, [result.table(), result.kitti_table()])
 
 
@@ -281,8 +278,7 @@ def _keep(folder: RunFolder, camera: str | None, table: Table) -> None:
         try:
             report(folder)
         except RunError as error:
-            line = f"the report of the run stays as it was: {error}"
-            err.print(line, soft_wrap=True, markup=False)
+            say(f"the report of the run stays as it was: {error}", to=err)
 
 
 PageKind = TypeVar("PageKind", bound="ErrorPage")
@@ -307,4 +303,4 @@ def _write(
 ) -> None:
     if page is not None and path is not None:
         page.write(path, tables, found)
-        err.print(f"pictures of the errors: {path}", soft_wrap=True, markup=False)
+        say(f"pictures of the errors: {path}", to=err)

@@ -9,14 +9,13 @@ import sys
 import tempfile
 import traceback
 from pathlib import Path
-from typing import NamedTuple
 
 import typer
 import yaml
 
 from docdepth._yaml_text import explain_yaml
 from docdepth.cli.remedies import as_commands
-from docdepth.cli.terminal import err, volume
+from docdepth.cli.terminal import err, say, volume
 from docdepth.errors import DocDepthError
 
 MISTAKE, BUG, STOPPED = 2, 1, 130
@@ -25,26 +24,16 @@ MISTAKE, BUG, STOPPED = 2, 1, 130
 # The base class of typer's errors of usage, which is click's in older releases of typer.
 _Usage = [c for c in typer.BadParameter.__mro__ if hasattr(c, "format_message")][-1]
 
+_PERMISSIONS = "change its permissions, or choose another folder"
+_ROOM = "make room and give the same command again"
 # What is the matter with a path, and what to do about it.
 _WRONG = {
     errno.ENOENT: ("is not there", "correct the path"),
-    errno.EACCES: (
-        "may not be read or written by you",
-        "change its permissions, or choose another folder",
-    ),
-    errno.EPERM: (
-        "may not be changed by you",
-        "change its permissions, or choose another folder",
-    ),
+    errno.EACCES: ("may not be read or written by you", _PERMISSIONS),
+    errno.EPERM: ("may not be changed by you", _PERMISSIONS),
     errno.EROFS: ("lies on a disk that is read-only", "choose another folder"),
-    errno.ENOSPC: (
-        "cannot be written: the disk is full",
-        "make room and give the same command again",
-    ),
-    errno.EDQUOT: (
-        "cannot be written: your share of the disk is used up",
-        "make room and give the same command again",
-    ),
+    errno.ENOSPC: ("cannot be written: the disk is full", _ROOM),
+    errno.EDQUOT: ("cannot be written: your share of the disk is used up", _ROOM),
     errno.EISDIR: ("is a folder, where a file is wanted", "name the file"),
     errno.ENOTDIR: ("leads through a file as if it were a folder", "correct the path"),
     errno.EEXIST: ("is there already, and is no folder", "choose another folder, or delete it"),
@@ -55,37 +44,30 @@ _WRONG = {
 }
 
 
-class Failure(NamedTuple):
-    """What is printed about an error, and the exit code."""
-
-    sentence: str
-    code: int = MISTAKE
-
-
-def explain(error: BaseException) -> Failure | None:
+def explain(error: BaseException) -> str | None:
     """The sentence for an error; None where it is a mistake of docdepth's own."""
     if isinstance(error, KeyboardInterrupt):
-        return Failure("stopped; the same command continues", STOPPED)
+        return "stopped; the same command continues"
     if isinstance(error, _Usage):
-        return Failure(_of_usage(error))
+        return _of_usage(error)
     if isinstance(error, DocDepthError):
-        return Failure(as_commands(str(error)))
+        return as_commands(str(error))
     if isinstance(error, OSError):
-        return Failure(_of_path(error))
+        return _of_path(error)
     if isinstance(error, RuntimeError) and "Symlink loop" in str(error):
-        return Failure(f"{error}: this link leads back to itself; name the folder that is meant")
+        return f"{error}: this link leads back to itself; name the folder that is meant"
     if isinstance(error, MemoryError):
         said = f" ({error})" if str(error) else ""
-        return Failure(
+        return (
             f"there is not enough memory{said}; reduce --size or --image-size, the range or the "
             "number of sweeps, or use a machine with more memory; the same command continues"
         )
     if isinstance(error, yaml.YAMLError):
-        return Failure(f"this is not YAML: {explain_yaml(error)}")
+        return f"this is not YAML: {explain_yaml(error)}"
     if isinstance(error, UnicodeEncodeError):
-        return Failure(f"a path cannot be written as text ({error}); rename it, in letters")
+        return f"a path cannot be written as text ({error}); rename it, in letters"
     if isinstance(error, UnicodeError):
-        return Failure(
+        return (
             f"a text is not UTF-8 ({error}); was a binary file given where a text file is wanted?"
         )
     return None
@@ -93,15 +75,14 @@ def explain(error: BaseException) -> Failure | None:
 
 def report(error: BaseException) -> int:
     """Print what went wrong, and return the exit code."""
-    failure = explain(error)
-    if failure is None:
-        failure = Failure(_of_bug(error), BUG)
-    if failure.code == STOPPED or type(error).__name__ == "NoArgsIsHelpError":
-        err.print(failure.sentence, end="\n" if failure.sentence else "", markup=False)
-    else:
-        err.print("error:", style="red", end=" ")
-        err.print(failure.sentence, soft_wrap=True, markup=False)
-    return failure.code
+    sentence = explain(error)
+    code = MISTAKE if sentence is not None else BUG
+    if isinstance(error, KeyboardInterrupt) or type(error).__name__ == "NoArgsIsHelpError":
+        err.print(sentence, end="\n" if sentence else "", markup=False)
+        return STOPPED if isinstance(error, KeyboardInterrupt) else code
+    err.print("error:", style="red", end=" ")
+    say(_of_bug(error) if sentence is None else sentence, to=err)
+    return code
 
 
 def _of_usage(error: BaseException) -> str:
@@ -118,27 +99,19 @@ def _of_path(error: OSError) -> str:
     # A file in the making is hidden beside its final name.
     path = re.sub(r"(^|/)\.([^/]+)\.part$", r"\1\2", path)
     what, remedy = _WRONG.get(error.errno or 0, ("", ""))
-    if error.errno == errno.ENOENT and path and (link := _dangling(Path(path))):
-        what = f"cannot be opened: {link} is a link to {os.readlink(link)}, which is not there"
-        remedy = "restore what it points to, or delete the link"
-    if error.errno == errno.ENOTDIR and (file := _file_on_the_way(Path(path))):
-        what, remedy = f"cannot be: {file} is a file", "name a folder"
+    way = (Path(path), *Path(path).parents)
+    links = [place for place in way if os.path.islink(place) and not os.path.exists(place)]
     if error.errno == errno.ENOENT and not path:
-        what, remedy = "is not there", "was the folder that you stand in deleted? Go to another"
+        remedy = "was the folder that you stand in deleted? Go to another"
+    elif error.errno == errno.ENOENT and links:
+        points = f"{links[-1]} is a link to {os.readlink(links[-1])}"
+        what = f"cannot be opened: {points}, which is not there"
+        remedy = "restore what it points to, or delete the link"
+    elif error.errno == errno.ENOTDIR and (file := next(filter(Path.is_file, way[1:]), None)):
+        what, remedy = f"cannot be: {file} is a file", "name a folder"
     if not what:
         return f"{path}: {error.strerror or error}" if path else str(error.strerror or error)
     return f"{path or 'a file'} {what}; {remedy}"
-
-
-def _dangling(path: Path) -> Path | None:
-    """The link on the way to a path that points to nothing."""
-    links = [p for p in (path, *path.parents) if p.is_symlink() and not os.path.exists(p)]
-    return links[-1] if links else None
-
-
-def _file_on_the_way(path: Path) -> Path | None:
-    """The file that a path leads through as if it were a folder."""
-    return next((parent for parent in path.parents if parent.is_file()), None)
 
 
 def _of_bug(error: BaseException) -> str:

@@ -8,16 +8,21 @@ from typing import Annotated, Any
 
 import typer
 
-from docdepth.cli.options import Json, with_options
+from docdepth.cli.options import Json, option, verb
 from docdepth.cli.remedies import as_commands
-from docdepth.cli.summary import show_findings, show_json
-from docdepth.cli.terminal import app, out, verb
+from docdepth.cli.status import show_findings
+from docdepth.cli.terminal import say, show_json
+from docdepth.diagnostics.recording_pictures import pictures_of
+from docdepth.diagnostics.recording_report import inspect_recording
 from docdepth.errors import Finding
 from docdepth.io.inputs import RunInputs
+from docdepth.pipeline.run_inputs import known_poses, open_recording
+from docdepth.pipeline.stage import recorded_warnings
+from docdepth.visualization.inspection import inspection_lines, write_inspection
+from docdepth.visualization.page import check_page
 
 
-@verb(app)
-@with_options(
+@verb(
     inputs=RunInputs,
     but=("camera", "camera_times", "labels", "image_size", "on_error", "hash_inputs"),
 )
@@ -25,10 +30,9 @@ def inspect(
     recording: Annotated[
         Path, typer.Argument(metavar="RECORDING", help="A recording: its folder, or a bag.")
     ],
-    output: Annotated[
-        Path,
-        typer.Option("-o", "--output", metavar="PAGE", help="Page to write, with pictures."),
-    ] = Path("inspect.html"),
+    output: Annotated[Path, option("Page to write, with pictures.", "PAGE", "-o --output")] = Path(
+        "inspect.html"
+    ),
     *,
     inputs: dict[str, Any],
     as_json: Json = False,
@@ -40,13 +44,6 @@ def inspect(
 
       docdepth inspect drive.mcap -o drive.html
     """
-    from docdepth.diagnostics.recording_pictures import pictures_of
-    from docdepth.diagnostics.recording_report import inspect_recording
-    from docdepth.pipeline.run_inputs import known_poses, open_recording
-    from docdepth.pipeline.stage import recorded_warnings
-    from docdepth.visualization.inspection import inspection_lines, write_inspection
-    from docdepth.visualization.page import check_page
-
     check_page(output)
     chosen = RunInputs(recording=recording, **inputs)
     with recorded_warnings() as logged:  # readers' notices are printed at once
@@ -60,9 +57,8 @@ def inspect(
     if as_json:
         show_json({**result.figures, "findings": [asdict(found) for found in result.findings]})
     else:
-        for line in inspection_lines(result.figures):
-            out.print(line, soft_wrap=True, markup=False, highlight=False)
+        say(*inspection_lines(result.figures))
         show_findings(found for found in result.findings if found not in notices)
-        out.print(f"pictures: {output}", soft_wrap=True, markup=False)
+        say(f"pictures: {output}")
     if any(found.severity == "error" for found in result.findings):
         raise typer.Exit(2)

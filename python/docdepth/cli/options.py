@@ -1,47 +1,93 @@
-"""Options that several verbs share, and what they mean together."""
+"""Options of the verbs: those of models and others; checked, and known to completion."""
 
 from __future__ import annotations
 
+import difflib
 import inspect
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
 from pathlib import Path
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    Literal,
-    TypeVar,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import typer
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from docdepth.cli.names import (
-    DATASETS,
-    FORMATS,
-    LAYERS,
-    PRESETS,
-    RENDERERS,
-    one_of,
-    some_of,
-)
-from docdepth.datasets import experimental_formats
+from docdepth.cli.terminal import app, set_volume, volume
+from docdepth.config import DepthFormat, Layer, Preset, parse_settings, replaced
+from docdepth.datasets import experimental_formats, format_names
+from docdepth.errors import ConfigError
+from docdepth.evaluation.depth import Mode
 from docdepth.io.inputs import RunInputs
+from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.execution import Execution
 
-if TYPE_CHECKING:
-    from docdepth.io.run_folder import RunFolder
+DATASETS = format_names()
+RENDERERS = ("cpu", "egl", "egl:N", "osmesa")
+PRESETS: tuple[str, ...] = get_args(Preset)
+FORMATS: tuple[str, ...] = get_args(DepthFormat)
+LAYERS: tuple[str, ...] = get_args(Layer)
+MODES: tuple[str, ...] = get_args(Mode)
 
 _CHOICES = {"dataset": DATASETS, "renderer": RENDERERS}
 """Names that some fields take, beside those whose type lists them."""
 
+_Verb = TypeVar("_Verb", bound=Callable[..., Any])
 
-def option(model: type[BaseModel], name: str) -> Any:
+
+def option(said: str, metavar: str | None = None, flags: str = "", **more: Any) -> Any:
+    """An option of a verb: its help, and its names if they are not that of the argument."""
+    return typer.Option(*flags.split(), help=said, **{"metavar": metavar, **more})
+
+
+def one_of(names: Iterable[str]) -> dict[str, Any]:
+    """Arguments of an option for one of these names."""
+    known = tuple(names)
+
+    def parse(text: str) -> str:
+        return _name(text, known)
+
+    def complete(incomplete: str) -> list[str]:
+        return [name for name in known if name.startswith(incomplete)]
+
+    parse.__name__ = "name"  # typer asks for it
+    return {"metavar": "NAME", "parser": parse, "autocompletion": complete}
+
+
+def some_of(names: Iterable[str]) -> dict[str, Any]:
+    """Arguments of an option for one or several of these names, with commas."""
+    known = tuple(names)
+
+    def parse(text: str) -> str:
+        return ",".join(_name(part, known) for part in text.split(","))
+
+    def complete(incomplete: str) -> list[str]:
+        before, comma, last = incomplete.rpartition(",")
+        taken = before.split(",")
+        return [before + comma + n for n in known if n.startswith(last) and n not in taken]
+
+    parse.__name__ = "name"
+    return {"metavar": "NAME[,NAME...]", "parser": parse, "autocompletion": complete}
+
+
+def _name(text: str, known: tuple[str, ...]) -> str:
+    """The name that is meant; capitals do not matter, nor whether it has ``-`` or ``_``."""
+    if re.fullmatch(r"egl:[0-9]{1,4}", text) and "egl:N" in known:
+        return text
+    plain = {_folded(name): name for name in known if name != "egl:N"}
+    if _folded(text) in plain:
+        return plain[_folded(text)]
+    near = difflib.get_close_matches(_folded(text), plain, n=1)
+    meant = f"; did you mean {plain[near[0]]}?" if near else ""
+    raise typer.BadParameter(f"{text!r} is unknown; there are {', '.join(known)}{meant}")
+
+
+def _folded(text: str) -> str:
+    return text.strip().lower().replace("-", "_")
+
+
+def option_of(model: type[BaseModel], name: str) -> Any:
     """The option of a field of a model: its name, help, metavar, limits and completion."""
     field = model.model_fields[name]
     said = field.description or ""
@@ -51,20 +97,13 @@ def option(model: type[BaseModel], name: str) -> Any:
         if name == "dataset":
             said += f" Never tried on a real recording: {', '.join(experimental_formats())}."
         more = one_of(_CHOICES[name])
-    elif choices := _literal(field):
-        more = one_of(choices)
+    for kind in (field.annotation, *get_args(field.annotation)):
+        if get_origin(kind) is Literal:
+            more = one_of(get_args(kind))
     limits = {type(limit).__name__: limit for limit in field.metadata}
     if "Ge" in limits:
         more |= {"min": limits["Ge"].ge, "max": limits["Le"].le}
-    return typer.Option(f"--{name.replace('_', '-')}", help=said, **more)
-
-
-def _literal(field: FieldInfo) -> tuple[str, ...]:
-    """The words of a field that takes one of some."""
-    for kind in (field.annotation, *get_args(field.annotation)):
-        if get_origin(kind) is Literal:
-            return get_args(kind)
-    return ()
+    return option(said, flags=f"--{name.replace('_', '-')}", **more)
 
 
 def _type(field: FieldInfo) -> Any:
@@ -82,33 +121,47 @@ def _default(field: FieldInfo) -> bool | int | None:
     return field.default if isinstance(field.default, int) else None
 
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
+Quiet = Annotated[
+    bool, option("Print only the result asked for, warnings and errors.", flags="--quiet -q")
+]
+Verbose = Annotated[
+    bool, option("Print each step, and the traceback of a bug.", flags="--verbose -v")
+]
 
 
-def with_options(
-    *, but: Sequence[str] = (), **models: type[BaseModel]
-) -> Callable[[_Function], _Function]:
-    """Give a verb an option for each described field of some models.
+def verb(
+    group: typer.Typer = app,
+    name: str | None = None,
+    *,
+    but: Sequence[str] = (),
+    **models: type[BaseModel],
+) -> Callable[[_Verb], _Verb]:
+    """Make a function a verb, which takes ``--quiet`` and ``--verbose`` as well.
 
     Parameters
     ----------
+    group : typer.Typer
+    name : str, optional
+        That of the function if absent.
     but : sequence of str
-        Fields without an option.
+        Fields of the models without an option.
     **models
-        By the argument of the verb, which gets the values of the options that were given.
+        By an argument of the function: it gets the values of the options that were given of those
+        that each described field has.
     """
     fields = {
         argument: {
-            name: field
-            for name, field in model.model_fields.items()
-            if field.description and not field.is_required() and name not in but
+            field_name: field
+            for field_name, field in model.model_fields.items()
+            if field.description and not field.is_required() and field_name not in but
         }
         for argument, model in models.items()
     }
 
-    def decorate(function: _Function) -> _Function:
+    def register(function: _Verb) -> _Verb:
         @wraps(function)
-        def call(**values: Any) -> Any:
+        def call(quiet: bool, verbose: bool, **values: Any) -> Any:
+            set_volume(quiet or volume.quiet, verbose or volume.verbose)
             for argument, of_model in fields.items():
                 every = {name: values.pop(name) for name in of_model}
                 values[argument] = {
@@ -116,173 +169,92 @@ def with_options(
                 }
             return function(**values)
 
-        hints = get_type_hints(function, include_extras=True)
-        parameters: list[inspect.Parameter] = []
-        for parameter in inspect.signature(function).parameters.values():
-            kind = inspect.Parameter.KEYWORD_ONLY
-            if parameter.name not in fields:
-                hint = hints[parameter.name]
-                parameters.append(parameter.replace(kind=kind, annotation=hint))
-                continue
-            model = models[parameter.name]
-            for name, field in fields[parameter.name].items():
-                hint = Annotated[_type(field), option(model, name)]
-                parameters.append(
-                    inspect.Parameter(name, kind, default=_default(field), annotation=hint)
-                )
-        call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        call.__annotations__ = {p.name: p.annotation for p in parameters}
-        return call  # type: ignore[return-value]
+        hints: dict[str, Any] = {}
+        defaults: dict[str, Any] = {}
+        for argument in inspect.signature(function, eval_str=True).parameters.values():
+            if argument.name in fields:
+                for field_name, field in fields[argument.name].items():
+                    of_field = option_of(models[argument.name], field_name)
+                    hints[field_name] = Annotated[_type(field), of_field]
+                    defaults[field_name] = _default(field)
+            else:
+                hints[argument.name] = argument.annotation
+                defaults[argument.name] = argument.default
+        hints |= {"quiet": Quiet, "verbose": Verbose}
+        defaults |= {"quiet": False, "verbose": False}
+        call.__signature__ = inspect.Signature([  # type: ignore[attr-defined]
+            inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=defaults[name], annotation=hint
+            )
+            for name, hint in hints.items()
+        ])  # fmt: skip
+        call.__annotations__ = hints
+        call.__doc__ = _unwrapped(function)
+        group.command(name)(call)
+        return function
 
-    return decorate
+    return register
+
+
+def _unwrapped(function: Callable[..., Any]) -> str:
+    """The help of a verb with each paragraph in one line; indented lines are examples and stay."""
+    paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
+    return "\n\n".join(p if p.startswith(" ") else " ".join(p.split("\n")) for p in paragraphs)
 
 
 RunPath = Annotated[
     Path, typer.Argument(metavar="RUN", help="Run folder, as docdepth run -o made it.")
 ]
-Output = Annotated[
-    Path | None,
-    typer.Option(
-        "-o", "--output", metavar="RUN", help="Run folder: created, or continued if it is there."
-    ),
+DatasetName = Annotated[str | None, option_of(RunInputs, "dataset")]
+Threads = Annotated[int, option_of(Execution, "threads")]
+OneCamera = Annotated[
+    str | None, option("Camera; needed where the run has several.", "NAME", "--camera")
 ]
-GivenLabels = Annotated[Path | None, option(RunInputs, "labels")]
-DatasetName = Annotated[str | None, option(RunInputs, "dataset")]
-Frames = Annotated[str | None, option(RunInputs, "frames")]
-CameraNames = Annotated[list[str] | None, option(RunInputs, "camera")]
-Threads = Annotated[int, option(Execution, "threads")]
-RendererName = Annotated[str, option(Execution, "renderer")]
 PresetName = Annotated[
     str,
-    typer.Option(
-        "--preset",
-        help="Values that all parameters start from: default (most accurate) or "
-        "paper (the paper's method).",
+    option(
+        "Values that all parameters start from: default (most accurate) or paper (the paper's "
+        "method).",
+        flags="--preset",
         **one_of(PRESETS),
-    ),
-]
-ChosenPreset = Annotated[
-    str | None,
-    typer.Option(
-        "--preset",
-        help="Values that all parameters start from: default (most accurate, taken if absent) or "
-        "paper (the paper's method).",
-        **one_of(PRESETS),
-    ),
-]
-ConfigFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--config",
-        metavar="FILE",
-        help="YAML file of parameters by stage (odometry: {max_range: 80}), or the run.yaml of a "
-        "run, whose recording and camera are then taken too. Options win over the file.",
     ),
 ]
 Settings = Annotated[
     list[str] | None,
-    typer.Option(
+    option(
+        "Set one parameter, for example dynamics.tolerance=0.3; repeat it for more. docdepth "
+        "parameters lists all.",
+        "STAGE.NAME=VALUE",
         "--set",
-        metavar="STAGE.NAME=VALUE",
-        help="Set one parameter, for example dynamics.tolerance=0.3; repeat it for more. "
-        "docdepth parameters lists all.",
     ),
-]
-AllBelow = Annotated[
-    Path | None,
-    typer.Option(
-        "--all",
-        metavar="ROOT",
-        help="Run every recording below this folder, the longest first, each into a folder of its "
-        "own below -o. One that fails does not stop the others.",
-    ),
-]
-OneCamera = Annotated[
-    str | None,
-    typer.Option("--camera", metavar="NAME", help="Camera; needed where the run has several."),
 ]
 Formats = Annotated[
     list[str] | None,
-    typer.Option(
-        "--format",
-        help=f"Files of each depth map: {', '.join(FORMATS)}; png if absent.",
-        **some_of(FORMATS),
-    ),
+    option(f"Files of each depth map: {', '.join(FORMATS)}; png if absent.", **some_of(FORMATS)),
 ]
 Scale = Annotated[
     float | None,
-    typer.Option(
-        metavar="X",
-        help="PNG value of one metre: 256 as KITTI if absent, up to 255 m; 64 reaches 1023 m.",
-    ),
+    option("PNG value of one metre: 256 as KITTI if absent, up to 255 m; 64 reaches 1023 m.", "X"),
 ]
 LayerNames = Annotated[
     list[str] | None,
-    typer.Option(
-        "--layers",
-        help=f"Further arrays per pixel, written beside the depth: {', '.join(LAYERS)}; none if "
-        "absent.",
+    option(
+        f"Further arrays per pixel, written beside the depth: {', '.join(LAYERS)}; none if absent.",
         **some_of(LAYERS),
     ),
 ]
-VirtualPose = Annotated[
-    str | None,
-    typer.Option(
-        "--pose",
-        metavar="POSE",
-        help="Draw for a virtual camera at this pose in the LiDAR frame (x forward, y left, "
-        "z up): x,y,z looks ahead; x,y,z,qx,qy,qz,qw; or a file with a 4x4 matrix.",
-    ),
-]
-VirtualIntrinsics = Annotated[
-    str | None,
-    typer.Option(
-        "--K",
-        metavar="FX,FY,CX,CY",
-        help="Intrinsics of the virtual camera: focal lengths and principal point in pixels, "
-        "for example 700,700,640,360.",
-    ),
-]
-VirtualSize = Annotated[
-    str | None,
-    typer.Option(
-        "--size",
-        metavar="WxH",
-        help="Image size of the virtual camera in pixels, for example 1280x720.",
-    ),
-]
-VirtualName = Annotated[
-    str | None,
-    typer.Option(
-        "--name",
-        metavar="NAME",
-        help="Name of the virtual camera: maps go to depth/NAME; virtual if absent.",
-    ),
-]
-VirtualTimes = Annotated[
-    Path | None,
-    typer.Option(
-        "--camera-times",
-        metavar="FILE",
-        help="Times of the virtual camera's images in seconds, one per line; those of the "
-        "sweeps if absent.",
-    ),
-]
 Json = Annotated[
-    bool, typer.Option("--json", help="Print the result as JSON; messages go to standard error.")
+    bool, option("Print the result as JSON; messages go to standard error.", flags="--json")
 ]
 
 
-def changes_of(settings: list[str] | None) -> dict[str, Any]:
-    from docdepth.config import parse_settings
-
-    return parse_settings(settings or [])
-
-
-def output_of(
-    format: list[str] | None, scale: float | None, layers: list[str] | None
+def changes(
+    settings: list[str] | None,
+    format: list[str] | None = None,
+    scale: float | None = None,
+    layers: list[str] | None = None,
 ) -> dict[str, Any]:
-    """Parameters that have an option of their own."""
+    """Parameters that options change: those of ``--set``, and those with an option of their own."""
     chosen: dict[str, Any] = {}
     if format:
         chosen["output.format"] = ",".join(format)
@@ -290,25 +262,19 @@ def output_of(
         chosen["output.scale"] = scale
     if layers:
         chosen["output.layers"] = ",".join(layers)
-    return chosen
+    return parse_settings(settings or []) | chosen
 
 
-def reopen(path: Path, changes: dict[str, Any], *stages: str) -> RunFolder:
+def reopen(path: Path, changed: dict[str, Any], *stages: str) -> RunFolder:
     """A run with some parameters of one stage replaced; kept in run.yaml once a stage uses them."""
-    from docdepth.config import replaced
-    from docdepth.io.run_folder import RunFolder
-
-    check_stages(changes, *stages)
+    check_stages(changed, *stages)
     folder = RunFolder.open(path)
-    values = replaced(folder.parameters, changes)
-    folder.manifest.parameters = values
+    folder.manifest.parameters = replaced(folder.parameters, changed)
     return folder
 
 
-def check_stages(changes: dict[str, Any], *stages: str) -> None:
+def check_stages(changed: dict[str, Any], *stages: str) -> None:
     """Refuse parameters of other stages."""
-    from docdepth.errors import ConfigError
-
-    for name in changes:
+    for name in changed:
         if name.partition(".")[0] not in stages:
             raise ConfigError(f"--set {name}: this stage knows {' and '.join(stages)} only")

@@ -3,51 +3,47 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from docdepth.cli.config_file import RunConfigFile, read_config
+from docdepth.cli.failures import BUG, MISTAKE, explain
 from docdepth.cli.options import (
-    AllBelow,
-    CameraNames,
-    ChosenPreset,
-    ConfigFile,
+    PRESETS,
     Formats,
-    GivenLabels,
     Json,
     LayerNames,
-    Output,
-    RendererName,
     RunPath,
     Scale,
     Settings,
     Threads,
-    VirtualIntrinsics,
-    VirtualName,
-    VirtualPose,
-    VirtualSize,
-    VirtualTimes,
-    changes_of,
+    changes,
     check_stages,
-    output_of,
+    one_of,
+    option,
+    option_of,
     reopen,
-    with_options,
+    verb,
 )
-from docdepth.cli.progress import progress_bars
-from docdepth.cli.status import show_states
-from docdepth.cli.summary import show_json, show_summary
-from docdepth.cli.terminal import app, out, verb
-from docdepth.config import Parameters
+from docdepth.cli.status import show_states, show_summary
+from docdepth.cli.terminal import out, progress_bars, say, show_json
+from docdepth.config import Parameters, parameters
 from docdepth.errors import ConfigError
 from docdepth.io.inputs import RunInputs, names_in
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline import run_classify, run_odometry
 from docdepth.pipeline.execution import Execution
+from docdepth.pipeline.plan import require
+from docdepth.pipeline.run import continue_run, render_again
+from docdepth.pipeline.run import run as run_stages
+from docdepth.pipeline.run_all import run_all
+from docdepth.pipeline.run_inputs import known_poses, open_recording
+from docdepth.pipeline.virtual_camera import virtual_camera
+from docdepth.render.backends import Renderer
 
-if TYPE_CHECKING:
-    from docdepth.io.run_folder import RunFolder
 
-
-@verb(app)
-@with_options(inputs=RunInputs, execution=Execution)
+@verb(inputs=RunInputs, execution=Execution)
 def run(
     recording: Annotated[
         Path | None,
@@ -58,12 +54,37 @@ def run(
             show_default=False,
         ),
     ] = None,
-    output: Output = None,
-    every: AllBelow = None,
-    config: ConfigFile = None,
+    output: Annotated[
+        Path | None,
+        option("Run folder: created, or continued if it is there.", "RUN", "-o --output"),
+    ] = None,
+    every: Annotated[
+        Path | None,
+        option(
+            "Run every recording below this folder, the longest first, each into a folder of its "
+            "own below -o. One that fails does not stop the others.",
+            "ROOT",
+            "--all",
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        option(
+            "YAML file of parameters by stage (odometry: {max_range: 80}), or the run.yaml of a "
+            "run, whose recording and camera are then taken too. Options win over the file.",
+            "FILE",
+        ),
+    ] = None,
     *,
     inputs: dict[str, Any],
-    preset: ChosenPreset = None,
+    preset: Annotated[
+        str | None,
+        option(
+            "Values that all parameters start from: default (most accurate, taken if absent) or "
+            "paper (the paper's method).",
+            **one_of(PRESETS),
+        ),
+    ] = None,
     settings: Settings = None,
     format: Formats = None,
     scale: Scale = None,
@@ -81,106 +102,75 @@ def run(
 
       docdepth run --all 2011_09_26 -o runs --jobs 8
     """
-    from docdepth.cli.config_file import RunConfigFile, read_config
-    from docdepth.config import parameters
-
     how = Execution(**execution)
+    show = show_states if how.dry_run else show_summary
     if output is None:
         chosen = [every, config, preset, settings, format, scale, layers, how.memory]
-        if inputs or how.force or any(option is not None for option in chosen):
-            recording = None if recording is None else _refuse_options(recording)
-        return _show(_continue(recording, how), as_json, how.dry_run)
+        is_alone = not (inputs or how.force or any(one is not None for one in chosen))
+        return show(_continue(recording, how, is_alone), as_json)
     file = read_config(config) if config else RunConfigFile()
     inputs = file.inputs(recording or every, inputs)
-    changes = file.settings | changes_of(settings) | output_of(format, scale, layers)
-    values = parameters(preset or file.preset, changes)  # type: ignore[arg-type]
-    if every is None:
-        return _show(_run_one(inputs, output, values, how), as_json, how.dry_run)
-    if recording is not None:
-        raise ConfigError("--all names the recordings: leave out RECORDING")
-    return _run_all(inputs, output, values, how, as_json)
-
-
-def _show(folder: RunFolder, as_json: bool, dry_run: bool) -> None:
-    return show_states(folder, as_json) if dry_run else show_summary(folder, as_json)
-
-
-def _run_one(
-    inputs: dict[str, Any], output: Path, values: Parameters, execution: Execution
-) -> RunFolder:
-    """Run one recording."""
-    from docdepth.pipeline.run import run
-
+    changed = file.settings | changes(settings, format, scale, layers)
+    values = parameters(preset or file.preset, changed)  # type: ignore[arg-type]
+    if every is not None:
+        if recording is not None:
+            raise ConfigError("--all names the recordings: leave out RECORDING")
+        return _run_all(RunInputs(**inputs), output, values, how, as_json)
     with progress_bars() as progress:
-        return run(RunInputs(**inputs), output, values, execution.but(progress=progress))
+        folder = run_stages(RunInputs(**inputs), output, values, how.but(progress=progress))
+    return show(folder, as_json)
 
 
-def _run_all(
-    inputs: dict[str, Any], output: Path, values: Parameters, execution: Execution, as_json: bool
-) -> None:
-    """Run every recording of a data set, and list what failed."""
-    from docdepth.cli.failures import BUG, MISTAKE, explain
-    from docdepth.pipeline.run_all import run_all
-
-    with progress_bars() as progress:
-        ended = run_all(RunInputs(**inputs), output, values, execution.but(progress=progress))
-    failed = {one.recording: one.error for one in ended if one.error is not None}
-    told = {place: explain(error) for place, error in failed.items()}
-    said = {place: str(known.sentence if known else failed[place]) for place, known in told.items()}
-    if as_json:
-        show_json([{"recording": str(one.recording), "run": str(one.folder),
-                    "error": said.get(one.recording)} for one in ended])  # fmt: skip
-    else:
-        state = "pass all checks" if execution.dry_run else f"are done; see {output}"
-        out.print(f"{len(ended) - len(failed)} of {len(ended)} recordings {state}")
-        for recording, sentence in said.items():
-            out.print(f"failed: {recording}: {sentence}", soft_wrap=True, markup=False)
-    if failed:
-        raise typer.Exit(BUG if None in told.values() else MISTAKE)
-
-
-def _refuse_options(run: Path) -> Path:
-    if (run / "run.yaml").is_file():
+def _continue(run: Path | None, how: Execution, is_alone: bool) -> RunFolder:
+    """Bring a run up to date by its run.yaml."""
+    if run is None or not (run / "run.yaml").is_file():
+        raise ConfigError("no run folder: docdepth run RECORDING -o RUN, or docdepth run RUN")
+    if not is_alone:
         raise ConfigError(
             "a run alone goes on with what run.yaml holds: give no other option, or RECORDING and "
             "-o RUN"
         )
-    return run
-
-
-def _continue(run: Path | None, execution: Execution) -> RunFolder:
-    """Bring a run up to date by its run.yaml."""
-    from docdepth.pipeline.run import continue_run
-
-    if run is None or not (run / "run.yaml").is_file():
-        raise ConfigError("no run folder: docdepth run RECORDING -o RUN, or docdepth run RUN")
     with progress_bars() as progress:
-        return continue_run(run, execution.but(progress=progress))
+        return continue_run(run, how.but(progress=progress))
 
 
-@verb(app)
+def _run_all(
+    inputs: RunInputs, output: Path, values: Parameters, how: Execution, as_json: bool
+) -> None:
+    """Run every recording of a data set, and list what failed."""
+    with progress_bars() as progress:
+        ended = run_all(inputs, output, values, how.but(progress=progress))
+    failed = {one.recording: one.error for one in ended if one.error is not None}
+    told = {place: explain(error) for place, error in failed.items()}
+    said = {place: str(known or failed[place]) for place, known in told.items()}
+    if as_json:
+        show_json([{"recording": str(one.recording), "run": str(one.folder),
+                    "error": said.get(one.recording)} for one in ended])  # fmt: skip
+    else:
+        state = "pass all checks" if how.dry_run else f"are done; see {output}"
+        out.print(f"{len(ended) - len(failed)} of {len(ended)} recordings {state}")
+        say(*(f"failed: {recording}: {sentence}" for recording, sentence in said.items()))
+    if failed:
+        raise typer.Exit(BUG if None in told.values() else MISTAKE)
+
+
+@verb()
 def odometry(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
     """Repeat odometry and deskewing, with other parameters."""
-    from docdepth.pipeline import run_odometry
-    from docdepth.pipeline.run_inputs import known_poses, open_recording
-
-    folder = reopen(run, changes_of(settings), "odometry")
+    folder = reopen(run, changes(settings), "odometry")
     recording = open_recording(folder.inputs, folder.manifest.derived)
     with progress_bars() as progress:
         run_odometry(folder, recording, known_poses(folder.inputs, recording), progress, threads)
     show_summary(folder)
 
 
-@verb(app)
+@verb()
 def classify(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
     """Repeat ground growing, voting and classification, with other parameters.
 
     Classes of another method (--labels) are replaced.
     """
-    from docdepth.pipeline import run_classify
-    from docdepth.pipeline.plan import require
-
-    folder = reopen(run, changes_of(settings), "ground", "dynamics")
+    folder = reopen(run, changes(settings), "ground", "dynamics")
     if folder.manifest.inputs is not None:
         folder.manifest.inputs = folder.manifest.inputs.but(labels=None)
     require(folder, "odometry")
@@ -189,34 +179,58 @@ def classify(run: RunPath, settings: Settings = None, threads: Threads = 0) -> N
     show_summary(folder)
 
 
-@verb(app)
+@verb()
 def render(
     run: RunPath,
     settings: Settings = None,
-    camera: CameraNames = None,
+    camera: Annotated[list[str] | None, option_of(RunInputs, "camera")] = None,
     format: Formats = None,
     scale: Scale = None,
     layers: LayerNames = None,
-    pose: VirtualPose = None,
-    K: VirtualIntrinsics = None,
-    size: VirtualSize = None,
-    name: VirtualName = None,
-    camera_times: VirtualTimes = None,
-    labels: GivenLabels = None,
+    pose: Annotated[
+        str | None,
+        option(
+            "Draw for a virtual camera at this pose in the LiDAR frame (x forward, y left, z up): "
+            "x,y,z looks ahead; x,y,z,qx,qy,qz,qw; or a file with a 4x4 matrix.",
+            "POSE",
+        ),
+    ] = None,
+    K: Annotated[
+        str | None,
+        option(
+            "Intrinsics of the virtual camera: focal lengths and principal point in pixels, for "
+            "example 700,700,640,360.",
+            "FX,FY,CX,CY",
+            "--K",
+        ),
+    ] = None,
+    size: Annotated[
+        str | None,
+        option("Image size of the virtual camera in pixels, for example 1280x720.", "WxH"),
+    ] = None,
+    name: Annotated[
+        str | None,
+        option("Name of the virtual camera: maps go to depth/NAME; virtual if absent.", "NAME"),
+    ] = None,
+    camera_times: Annotated[
+        Path | None,
+        option(
+            "Times of the virtual camera's images in seconds, one per line; those of the sweeps if "
+            "absent.",
+            "FILE",
+        ),
+    ] = None,
+    labels: Annotated[Path | None, option_of(RunInputs, "labels")] = None,
     threads: Threads = 0,
-    renderer: RendererName = "cpu",
+    renderer: Annotated[str, option_of(Execution, "renderer")] = "cpu",
 ) -> None:
     """Repeat rendering with other parameters, formats or cameras, or for a virtual camera.
 
     docdepth render RUN --pose 0,0,0.5 --K 700,700,640,360 --size 1280x720
     """
-    from docdepth.pipeline.run import render_again
-    from docdepth.pipeline.virtual_camera import virtual_camera
-    from docdepth.render.backends import Renderer
-
     drawn_by = Renderer(renderer)
-    changes = changes_of(settings) | output_of(format, scale, layers)
-    check_stages(changes, "render", "output")
+    changed = changes(settings, format, scale, layers)
+    check_stages(changed, "render", "output")
     described = None
     if pose or K or size or name is not None or camera_times:
         if not (pose and K and size) or camera:
@@ -224,13 +238,14 @@ def render(
                 "a virtual camera needs --pose, --K and --size, and no --camera; --name and "
                 "--camera-times are for it alone"
             )
-        described = virtual_camera(pose, K, size, camera_times)
+        named = "virtual" if name is None else name
+        described = named, virtual_camera(pose, K, size, camera_times)
     with progress_bars() as progress:
         folder = render_again(
             run,
-            changes,
+            changed,
             names_in(camera),
-            ("virtual" if name is None else name, described) if described else None,
+            described,
             labels=labels,
             threads=threads,
             renderer=drawn_by,

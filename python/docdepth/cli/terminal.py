@@ -1,22 +1,27 @@
-"""What is printed, and where: consoles, warnings, and how much of it is wanted."""
+"""What is printed, and where: consoles, warnings, progress, and how much of it is wanted."""
 
 from __future__ import annotations
 
 import codecs
-import inspect
 import io
+import json
 import logging
+import re
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import wraps
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import Any
 
 import typer
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bars
 from typer.core import TyperGroup
 
 from docdepth.cli.remedies import as_commands
+from docdepth.concurrency import Progress, null_progress
 
 _ORDER = (
     *("demo", "inspect", "check", "run", "status", "report", "view", "map", "video"),
@@ -56,6 +61,17 @@ out = _Console(highlight=False)
 err = _Console(stderr=True, highlight=False)
 
 
+def say(*lines: str, to: Console = out) -> None:
+    """Print lines as they are, never broken at the width of a terminal."""
+    for line in lines:
+        to.print(line, soft_wrap=True, markup=False)
+
+
+def show_json(value: Any) -> None:
+    """Print a value as JSON."""
+    say(json.dumps(value, indent=1))
+
+
 @dataclass
 class _Volume:
     quiet: bool = False
@@ -83,7 +99,7 @@ class _Lines(logging.Handler):
                 return
             self.printed.add(message)
             err.print("warning:", style="yellow", end=" ")
-        err.print(message, soft_wrap=True, markup=False)
+        say(message, to=err)
 
 
 _LINES = _Lines()
@@ -111,53 +127,65 @@ def _printable(error: UnicodeError) -> tuple[str, int]:
     r"""Bytes of a path that are no text as ``\xff``, other characters as ``\u20ac``."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    escaped = (
-        f"\\x{ord(c) - 0xDC00:02x}" if "\udc80" <= c <= "\udcff" else _escaped(c)
-        for c in error.object[error.start : error.end]
+    unprintable = error.object[error.start : error.end]
+    escaped = unprintable.encode("ascii", "backslashreplace").decode()
+    return re.sub(r"\\udc([89a-f][0-9a-f])", r"\\x\1", escaped), error.end
+
+
+@contextmanager
+def progress_bars() -> Iterator[Progress]:
+    """One progress bar per stage, with the time left; lines where output is no terminal."""
+    if volume.quiet:
+        yield null_progress
+        return
+    if not err.is_terminal:
+        yield progress_lines()
+        return
+    columns = (
+        TextColumn("{task.description:<12}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(elapsed_when_finished=True),
     )
-    return "".join(escaped), error.end
+    with Bars(*columns, console=err) as bars:
+        tasks: dict[str, Any] = {}
+
+        def tell(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=total)
+            bars.update(tasks[stage], completed=done, total=total)
+
+        yield tell
 
 
-def _escaped(character: str) -> str:
-    return character.encode("ascii", "backslashreplace").decode()
+_PAUSE = 30.0  # a log file gets a line after so many seconds, or when a tenth more is done
 
 
-def _unwrapped(function: Callable[..., Any]) -> str:
-    """The help of a verb with each paragraph in one line; indented lines are examples and stay."""
-    paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
-    return "\n\n".join(p if p.startswith(" ") else " ".join(p.split("\n")) for p in paragraphs)
+def progress_lines(clock: Callable[[], float] = time.monotonic) -> Progress:
+    """For log files: a line with the time taken, and an estimate of what is left."""
+    began: dict[str, tuple[float, int]] = {}  # time and frames done at the first call
+    told: dict[str, tuple[int, float]] = {}  # tenths and time of the last line
+
+    def tell(stage: str, done: int, total: int) -> None:
+        now, tenths = clock(), 10 * done // max(total, 1)
+        start, before = began.setdefault(stage, (now, done))
+        last_tenths, last = told.get(stage, (-1, now))
+        if tenths == last_tenths and now - last < _PAUSE:
+            return
+        told[stage] = (tenths, now)
+        line = f"{stage} {done}/{total}"
+        if now - start >= 1:
+            line += f", {_duration(now - start)}"
+            if before < done < total:
+                left = (now - start) / (done - before) * (total - done)
+                line += f", about {_duration(left)} left"
+        say(line, to=err)
+
+    return tell
 
 
-_Verb = TypeVar("_Verb", bound=Callable[..., Any])
-Quiet = Annotated[
-    bool,
-    typer.Option("--quiet", "-q", help="Print only the result asked for, warnings and errors."),
-]
-Verbose = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Print each step, and the traceback of a bug.")
-]
-
-
-def verb(group: typer.Typer, name: str | None = None) -> Callable[[_Verb], _Verb]:
-    """Register a verb that takes ``--quiet`` and ``--verbose`` as well."""
-
-    def register(function: _Verb) -> _Verb:
-        @wraps(function)
-        def call(*args: Any, quiet: bool = False, verbose: bool = False, **options: Any) -> Any:
-            set_volume(quiet or volume.quiet, verbose or volume.verbose)
-            return function(*args, **options)
-
-        hints = {
-            **get_type_hints(function, include_extras=True), "quiet": Quiet, "verbose": Verbose
-        }  # fmt: skip
-        every = dict(inspect.signature(function).parameters)
-        for added in ("quiet", "verbose"):
-            every[added] = inspect.Parameter(added, inspect.Parameter.KEYWORD_ONLY, default=False)
-        resolved = [p.replace(annotation=hints[name]) for name, p in every.items()]
-        call.__signature__ = inspect.Signature(resolved)  # type: ignore[attr-defined]
-        call.__annotations__ = hints
-        call.__doc__ = _unwrapped(function)
-        group.command(name)(call)
-        return function
-
-    return register
+def _duration(seconds: float) -> str:
+    """Seconds as ``0:07``, ``12:30`` or ``1:02:03``."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"

@@ -4,81 +4,65 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 import yaml
 
+from docdepth import tuning
 from docdepth._parameter_text import read_yaml
-from docdepth.cli.options import OneCamera, Threads
-from docdepth.cli.progress import progress_bars
-from docdepth.cli.terminal import app, out, verb
+from docdepth.cli.options import OneCamera, Threads, option, verb
+from docdepth.cli.terminal import progress_bars, say
 from docdepth.errors import ConfigError, MissingExtraError
 
-if TYPE_CHECKING:
-    from docdepth.tuning import Judge
 
-LabelJudgeFolders = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--labels",
-        metavar="DIR",
-        help="Judge by true labels, as evaluate labels does: parameters of odometry, ground and "
-        "dynamics. One for each run, in the same order.",
-    ),
-]
-DepthJudgeFolders = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--depth",
-        metavar="DIR",
-        help="Judge by true depth maps, as evaluate depth does. One for each run.",
-    ),
-]
-HeldOutSweeps = Annotated[
-    int | None,
-    typer.Option(
-        "--held-out",
-        min=1,
-        metavar="N",
-        help="Judge by every N-th sweep, left out of the depth that it judges, as evaluate "
-        "held-out does: needs no truth. Chosen with N = 10 if no other judge is.",
-    ),
-]
-
-
-@verb(app)
+@verb()
 def tune(
     runs: Annotated[
         list[Path], typer.Argument(metavar="RUN...", help="Run folders, one or several drives.")
     ],
     output: Annotated[
-        Path,
-        typer.Option(
-            "-o", "--output", metavar="OUT", help="Folder for the results: table, CSV and plot."
-        ),
+        Path, option("Folder for the results: table, CSV and plot.", "OUT", "-o --output")
     ],
-    label_folders: LabelJudgeFolders = None,
-    depth_folders: DepthJudgeFolders = None,
-    every: HeldOutSweeps = None,
+    label_folders: Annotated[
+        list[Path] | None,
+        option(
+            "Judge by true labels, as evaluate labels does: parameters of odometry, ground and "
+            "dynamics. One for each run, in the same order.",
+            "DIR",
+            "--labels",
+        ),
+    ] = None,
+    depth_folders: Annotated[
+        list[Path] | None,
+        option(
+            "Judge by true depth maps, as evaluate depth does. One for each run.", "DIR", "--depth"
+        ),
+    ] = None,
+    every: Annotated[
+        int | None,
+        option(
+            "Judge by every N-th sweep, left out of the depth that it judges, as evaluate held-out "
+            "does: needs no truth. Chosen with N = 10 if no other judge is.",
+            "N",
+            "--held-out",
+            min=1,
+        ),
+    ] = None,
     camera: OneCamera = None,
     vary: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="STAGE.NAME=A,B,C",
-            help="Values to try of a parameter of odometry, ground, dynamics or render; repeated, "
-            "all are combined.",
+        option(
+            "Values to try of a parameter of odometry, ground, dynamics or render; repeated, all "
+            "are combined.",
+            "STAGE.NAME=A,B,C",
         ),
     ] = None,
     trials: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="YAML of parameter sets, one a line: NAME: {stage.name: value}."
-        ),
+        option("YAML of parameter sets, one a line: NAME: {stage.name: value}.", "FILE"),
     ] = None,
-    jobs: Annotated[
-        int, typer.Option(min=1, max=1024, metavar="N", help="Parameter sets to try at a time.")
-    ] = 1,
+    jobs: Annotated[int, option("Parameter sets to try at a time.", "N", min=1, max=1024)] = 1,
     threads: Threads = 0,
 ) -> None:
     """Make runs again with many parameter sets, score each, write a table, CSV and a plot.
@@ -91,8 +75,6 @@ def tune(
       docdepth tune RUN1 RUN2 RUN3 -o out --vary render.behind=5,15
       docdepth tune RUN --labels DIR -o out --vary dynamics.tolerance=0.1,0.2
     """
-    from docdepth import tuning
-
     judges = _judges(len(runs), label_folders, depth_folders, every, camera)
     if bool(vary) == bool(trials):
         raise ConfigError("say what to vary: --vary STAGE.NAME=A,B or --trials FILE")
@@ -101,12 +83,12 @@ def tune(
         outcomes = tuning.tune(runs, judges, sets, output, jobs, threads, progress)
     by = judges[0].by
     table = tuning.table(outcomes, by)
-    out.print(str(table), soft_wrap=True, markup=False)
+    say(str(table))
     (output / "tune.md").write_text(table.markdown(), encoding="utf-8")
     try:
         tuning.plot(outcomes, by, output / "tune.png")
     except MissingExtraError as error:
-        out.print(f"no plot: {error}", markup=False)
+        say(f"no plot: {error}")
 
 
 def parse_axes(assignments: Sequence[str]) -> dict[str, list[Any]]:
@@ -136,10 +118,8 @@ def _judges(
     depth: list[Path] | None,
     every: int | None,
     camera: str | None,
-) -> list[Judge]:
+) -> list[tuning.Judge]:
     """The judge that the options choose, for each run."""
-    from docdepth.tuning import Judge
-
     if sum(bool(option) for option in (labels, depth, every)) > 1:
         raise ConfigError("choose one judge: --labels DIR, --depth DIR or --held-out N")
     truths = labels or depth
@@ -151,5 +131,5 @@ def _judges(
     if labels and camera is not None:
         raise ConfigError("labels are the same for every camera; leave --camera out")
     if truths:
-        return [Judge("labels" if labels else "depth", folder, camera) for folder in truths]
-    return [Judge(camera=camera, every=every or 10)] * count
+        return [tuning.Judge("labels" if labels else "depth", folder, camera) for folder in truths]
+    return [tuning.Judge(camera=camera, every=every or 10)] * count
