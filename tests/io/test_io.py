@@ -1,7 +1,6 @@
 """Run folder files: written whole, read back the same, damaged ones named."""
 
 import os
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,69 +24,25 @@ from docdepth.io.inputs import RunInputs
 from docdepth.io.run_folder import RunFolder, stage_key
 
 
-@pytest.fixture
-def frame() -> LidarFrame:
+@pytest.mark.parametrize("name", ["sweep with a space", os.fsdecode(b"stra\xc3\x9fe \xff ")])
+def test_frame_is_read_back_the_same(tmp_path, name):
     rng = np.random.default_rng(1)
-    return LidarFrame(
+    frame = LidarFrame(
         points=rng.normal(size=(100, 3)).astype(np.float32),
         index=np.arange(0, 200, 2, dtype=np.uint32),
-        name="sweep with a space",
+        name=name,
         input_points=201,
         classid=rng.choice([0, 50, 100], 100).astype(np.uint16),
         votes_static=rng.integers(0, 60, 100, dtype=np.uint16),
         votes_dynamic=rng.integers(0, 60, 100, dtype=np.uint16),
         time_offset=rng.uniform(-0.05, 0.05, 100).astype(np.float32),
     )
-
-
-def test_frame_is_read_back_the_same(tmp_path, frame):
     path = tmp_path / "frames" / "frame_000000.ply"
     write_frame(path, frame)
     back = read_frame(path)
-    for name in ("points", "index", "classid", "votes_static", "votes_dynamic", "time_offset"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(frame, name))
-    assert (back.name, back.input_points) == (frame.name, 201)
-
-
-def test_names_of_files_survive(tmp_path, frame):
-    name = os.fsdecode(b"stra\xc3\x9fe \xff ")
-    write_frame(tmp_path / "frame.ply", replace(frame, name=name))
-    assert read_frame(tmp_path / "frame.ply").name == name
-
-
-def test_truncated_frame_is_named_with_the_remedy(tmp_path, frame):
-    path = tmp_path / "frame_000003.ply"
-    write_frame(path, frame)
-    path.write_bytes(path.read_bytes()[:-7])
-    with pytest.raises(RunError, match=r"frame_000003\.ply is damaged"):
-        read_frame(path)
-
-
-@pytest.mark.parametrize("spoil", [
-    lambda content: b"", lambda content: content[:60], lambda content: b"P5" + content,
-    lambda content: content.replace(b"float x", b"floet x"),
-    lambda content: content.replace(b"vertex 100", b"vertex -10"),
-    lambda content: content.replace(b"vertex 100", b"vertex one"),
-    lambda content: content.replace(b"vertex 100", b"vertex 0").split(b"property float y")[0],
-])  # fmt: skip
-def test_a_damaged_header_is_named(tmp_path, frame, spoil):
-    path = tmp_path / "frame_000003.ply"
-    write_frame(path, frame)
-    path.write_bytes(spoil(path.read_bytes()))
-    with pytest.raises(RunError, match=r"frame_000003\.ply is damaged"):
-        read_frame(path)
-
-
-def test_nanoseconds_survive(tmp_path):
-    times = np.array([1_317_000_000_123_456_789, 1_317_000_000_223_456_790])
-    poses = poses_from(
-        [rotation_exp([0.1, -0.2, 3.1]), rotation_exp([0, 0, -2.0])], [[1e5, 2, 3], [4, 5, 6]]
-    )
-    write_trajectory(tmp_path / "t.ply", Trajectory(times, poses), np.arange(2))
-    back, indices = read_trajectory(tmp_path / "t.ply")
-    np.testing.assert_array_equal(back.times, times)
-    np.testing.assert_allclose(back.poses, poses, atol=1e-12)
-    np.testing.assert_array_equal(indices, [0, 1])
+    for column in ("points", "index", "classid", "votes_static", "votes_dynamic", "time_offset"):
+        np.testing.assert_array_equal(getattr(back, column), getattr(frame, column))
+    assert (back.name, back.input_points) == (name, 201)
 
 
 def test_poses_that_were_read_are_written_as_they_were(tmp_path):
@@ -123,22 +78,19 @@ def test_another_run_is_not_overwritten(tmp_path):
     source = RunInputs(recording=tmp_path / "a")
     RunFolder.create(tmp_path / "run", source, parameters()).save()
     RunFolder.create(tmp_path / "run", source, parameters())  # the same one goes on
-    with pytest.raises(RunError, match=r"another run: its recording is '.*/a', not '.*/b'"):
-        RunFolder.create(tmp_path / "run", source.but(recording=tmp_path / "b"), parameters())
-    with_poses = source.but(poses="dataset")
-    with pytest.raises(RunError, match="its poses is not given, not 'dataset'"):
-        RunFolder.create(tmp_path / "run", with_poses, parameters())
-    RunFolder.create(tmp_path / "posed", with_poses, parameters()).save()
-    with pytest.raises(RunError, match="its poses is 'dataset', and now it is not given"):
-        RunFolder.create(tmp_path / "posed", source, parameters())
-    with pytest.raises(RunError, match=r"its dynamics\.tolerance is 0\.2, not 0\.3"):
-        RunFolder.create(
-            tmp_path / "run", source, parameters("default", {"dynamics.tolerance": 0.3})
-        )
+    posed, other = source.but(poses="dataset"), parameters("default", {"dynamics.tolerance": 0.3})
+    RunFolder.create(tmp_path / "posed", posed, parameters()).save()
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.jpg").touch()
-    with pytest.raises(RunError, match="holds no run"):
-        RunFolder.create(tmp_path / "photos", source, parameters())
+    for folder, inputs, values, match in (
+        ("run", source.but(recording=tmp_path / "b"), parameters(), "recording is '.*/a', .*/b'"),
+        ("run", posed, parameters(), "its poses is not given, not 'dataset'"),
+        ("posed", source, parameters(), "its poses is 'dataset', and now it is not given"),
+        ("run", source, other, r"its dynamics\.tolerance is 0\.2, not 0\.3"),
+        ("photos", source, parameters(), "holds no run"),
+    ):
+        with pytest.raises(RunError, match=match):
+            RunFolder.create(tmp_path / folder, inputs, values)
 
 
 def test_a_run_that_another_command_starts_is_no_foreign_folder(tmp_path, monkeypatch):

@@ -65,10 +65,8 @@ def ply(layout: str, *elements: tuple) -> bytes:
 @pytest.mark.parametrize(
     "elements",
     [
-        [VERTICES],
         [VERTICES, FACES],
         [FACES, VERTICES],
-        [CAMERAS, FACES, VERTICES],
         [CAMERAS, VERTICES],
     ],
     ids=lambda elements: "-".join(name for name, _, _ in elements),
@@ -90,36 +88,30 @@ def test_every_layout(tmp_path: Path, layout: str, elements: list) -> None:
     assert (frame.points.dtype, frame.classid.dtype) == (np.float32, np.uint16)
 
 
-@pytest.mark.parametrize("scalar", CODES)
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_every_type_to_its_limits(tmp_path: Path, layout: str, scalar: str) -> None:
-    code = np.dtype(CODES[scalar])
-    limits = np.finfo(code) if code.kind == "f" else np.iinfo(code)
-    values = [code.type(limits.min).item(), 0, 1, code.type(limits.max).item()]
+def test_every_type_to_its_limits(tmp_path: Path, layout: str) -> None:
     path = tmp_path / "a.ply"
-    path.write_bytes(ply(layout, ("vertex", [(scalar, "v")], [(v,) for v in values])))
-    rows, _ = read_vertices(path)
-    np.testing.assert_array_equal(rows["v"], np.array(values, code))
-    write_vertices(path, rows, [])
-    np.testing.assert_array_equal(read_vertices(path)[0], rows)
+    for scalar in CODES:
+        code = np.dtype(CODES[scalar])
+        limits = np.finfo(code) if code.kind == "f" else np.iinfo(code)
+        values = [code.type(limits.min).item(), 0, 1, code.type(limits.max).item()]
+        path.write_bytes(ply(layout, ("vertex", [(scalar, "v")], [(v,) for v in values])))
+        rows, _ = read_vertices(path)
+        np.testing.assert_array_equal(rows["v"], np.array(values, code))
+        write_vertices(path, rows, [])
+        np.testing.assert_array_equal(read_vertices(path)[0], rows)
 
 
-def test_as_trimesh_writes_it(tmp_path: Path) -> None:
+def test_as_trimesh_writes_and_reads_it(tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh")
-    box = trimesh.creation.box((1, 2, 3))
+    box, path = trimesh.creation.box((1, 2, 3)), tmp_path / "a.ply"
     for encoding in ("binary", "ascii"):
-        path = tmp_path / f"{encoding}.ply"
         path.write_bytes(trimesh.exchange.ply.export_ply(box, encoding=encoding))
         np.testing.assert_allclose(read_frame(path).points, box.vertices)
-
-
-def test_as_trimesh_reads_it(tmp_path: Path) -> None:
-    trimesh = pytest.importorskip("trimesh")
     rows = np.zeros(4, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("classid", "<u2")])
     rows["x"], rows["classid"] = range(4), [0, 50, 100, 65535]
-    write_vertices(tmp_path / "a.ply", rows, ["name one two"])
-    cloud = trimesh.load(tmp_path / "a.ply")
-    np.testing.assert_array_equal(cloud.vertices[:, 0], range(4))
+    write_vertices(path, rows, ["name one two"])
+    np.testing.assert_array_equal(trimesh.load(path).vertices[:, 0], range(4))
 
 
 def test_other_line_ends(tmp_path: Path) -> None:
@@ -149,9 +141,7 @@ def replaced(old: bytes, new: bytes, layout: str = "binary_little_endian") -> by
         (b"ply\n" + b"x" * 100 + b"\n", "no line of a header"),
         (replaced(b"format binary", b"format binarz"), "its format 'binarz_little_endian 1.0'"),
         (replaced(b"format binary_little_endian 1.0\n", b""), "names no format"),
-        (replaced(b"element vertex 3", b"element vertex"), "tells no number of rows"),
         (replaced(b"element vertex 3", b"element vertex -3"), "tells no number of rows"),
-        (replaced(b"element vertex 3", b"element vertex 3e0"), "tells no number of rows"),
         (replaced(b"element vertex 3", b"element vertex 4"), "3 of 4 rows are there"),
         (replaced(b"element vertex 3", b"element vertex 99999999999"), "3 of 99999999999 rows"),
         (replaced(b"element vertex 3", b"element vertex " + b"9" * 5000), "nothing has 999"),
@@ -159,20 +149,15 @@ def replaced(old: bytes, new: bytes, layout: str = "binary_little_endian") -> by
         (replaced(b"element face 3", b"element face 99999999999"), "too short for 999"),
         (replaced(b"element face 3", b"element face 9"), "it ends within|rows|entries|too short"),
         (replaced(b"property float x", b"property floet x"), "has a type that PLY lacks"),
-        (replaced(b"property float x", b"property x"), "has a type that PLY lacks"),
-        (replaced(b"property float x", b"property"), "has a type that PLY lacks"),
         (replaced(b"property float x", b"property list float int x"), "has a type that PLY lacks"),
         (replaced(b"property float x", b"property list uchar int x"), "x of its vertex is a list"),
         (replaced(b"property float x", b"property float z"), "'z' occurs more than once"),
         (b"ply\nformat ascii 1.0\nelement vertex 2\nend_header\n1\n2\n", "has no properties"),
         (replaced(b"200 7", b"200", "ascii"), "row 0 has 4 numbers, not 5"),
         (replaced(b"200 7", b"200 seven", "ascii"), "what is no number"),
-        (replaced(b"200 7", b"200 \xff\xfe", "ascii"), "what is no number"),
         (replaced(b"200 7", b"300 7", "ascii"), "a value of intensity is no uchar"),
         (replaced(b"200 7", b"200 7.5", "ascii"), "a value of classid is no short"),
-        (replaced(b"200 7", b"200 nan", "ascii"), "a value of classid is no short"),
         (replaced(b"element vertex 3", b"element vertex 9999999", "ascii"), "too short for 999"),
-        (replaced(b"element vertex 3", b"element vertex 4", "ascii"), "3 of 4 rows are there"),
         (replaced(b"element face 3", b"element face 99", "ascii"), "6 of 99 rows of its face"),
     ],
 )  # fmt: skip
@@ -262,13 +247,14 @@ def test_the_header_of_a_written_frame(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("names", ["x y z other", "y x z other", "x y other z", "other x y z"])
-@pytest.mark.parametrize("count", [0, 5])
-def test_points_of_any_order_of_columns(tmp_path: Path, names: str, count: int) -> None:
-    rows = np.zeros(count, [(name, "<u2" if name == "other" else "<f4") for name in names.split()])
-    places = np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
-    rows["x"], rows["y"], rows["z"] = places.T
-    write_vertices(tmp_path / "a.ply", rows, [])
-    points = read_points(tmp_path / "a.ply")
-    np.testing.assert_array_equal(points, places)
-    assert points.flags.c_contiguous
-    assert points.flags.writeable
+def test_points_of_any_order_of_columns(tmp_path: Path, names: str) -> None:
+    kinds = [(name, "<u2" if name == "other" else "<f4") for name in names.split()]
+    for count in (0, 5):
+        rows = np.zeros(count, kinds)
+        places = np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
+        rows["x"], rows["y"], rows["z"] = places.T
+        write_vertices(tmp_path / "a.ply", rows, [])
+        points = read_points(tmp_path / "a.ply")
+        np.testing.assert_array_equal(points, places)
+        assert points.flags.c_contiguous
+        assert points.flags.writeable

@@ -17,27 +17,20 @@ from docdepth.io.poses import read_poses, read_poses_at, read_tum, write_kitti, 
 POSE = np.eye(4)[None]
 
 
-def test_pose_files_round_trip(tmp_path: Path) -> None:
-    vectors = np.linspace([0, 0, 0], [0.02, -0.01, 0.3], 5)
-    poses = poses_from(list(rotation_exp(vectors)), np.linspace([0, 0, 0], [5, 1, 0.2], 5))
-    times = 1317042145051199337 + np.arange(5) * 103_000_001
-    write_tum(tmp_path / "tum.txt", Trajectory(times, poses))
-    write_kitti(tmp_path / "kitti.txt", poses)
-    np.testing.assert_allclose(read_poses(tmp_path / "tum.txt", 5), poses, atol=1e-8)
-    np.testing.assert_allclose(read_poses(tmp_path / "kitti.txt", 5), poses, atol=1e-11)
-    np.testing.assert_array_equal(read_tum(tmp_path / "tum.txt").times, times)
-
-
 def turning(count: int) -> Trajectory:
     vectors = np.linspace([0, 0, 0], [0.02, -0.01, 0.3], count)
     poses = poses_from(list(rotation_exp(vectors)), np.linspace([0, 0, 0], [5, 1, 0.2], count))
     return Trajectory(1317042145051199337 + np.arange(count) * 103_000_001, poses)
 
 
-def test_ply_and_npy_are_read(tmp_path: Path) -> None:
+def test_pose_files_round_trip(tmp_path: Path) -> None:
     given = turning(5)
+    write_tum(tmp_path / "tum.txt", given)
+    write_kitti(tmp_path / "kitti.txt", given.poses)
     write_trajectory(tmp_path / "t.ply", given, np.arange(5))
-    np.testing.assert_allclose(read_poses(tmp_path / "t.ply", 5), given.poses, atol=1e-12)
+    for name, error in (("tum.txt", 1e-8), ("kitti.txt", 1e-11), ("t.ply", 1e-12)):
+        np.testing.assert_allclose(read_poses(tmp_path / name, 5), given.poses, atol=error)
+    np.testing.assert_array_equal(read_tum(tmp_path / "tum.txt").times, given.times)
     for shape, dtype, error in ((4, np.float64, 0), (3, np.float64, 0), (4, np.float32, 1e-6)):
         np.save(tmp_path / "p.npy", given.poses[:, :shape].astype(dtype))
         found = read_poses(tmp_path / "p.npy", 5)
@@ -60,6 +53,7 @@ def test_broken_ply_and_npy(tmp_path: Path) -> None:
         ("points.ply", "no trajectory of a run"),
         ("none.ply", "it is not there"),
         ("none.npy", "none.npy is missing"),
+        ("none.txt", r"none\.txt is missing"),
         ("flat.npy", r"of shape \(3, 12\)"),
         ("text.npy", "poses are numbers"),
         ("empty.npy", "holds no poses"),
@@ -95,11 +89,6 @@ def test_tum_quaternions_are_x_y_z_w(tmp_path: Path) -> None:
 def test_broken_poses(tmp_path: Path, text: str, match: str) -> None:
     (tmp_path / "poses.txt").write_text(text)
     with pytest.raises(OdometryError, match=match):
-        read_poses(tmp_path / "poses.txt", 2)
-
-
-def test_missing_poses(tmp_path: Path) -> None:
-    with pytest.raises(OdometryError, match=r"poses\.txt is missing"):
         read_poses(tmp_path / "poses.txt", 2)
 
 
