@@ -90,7 +90,7 @@ def test_a_run_gives_the_labels_of_the_drive_in_memory(yard, preset, tmp_path):
     labels = classify_drive(*drive, p)
     assert_same_labels(run, labels)
     assert sum((label.classid == 0)[w == 0].sum() for label, w in zip(labels, what, strict=True))
-    assert not (run.notes / "evidence").exists()
+    assert not (run.state_dir / "evidence").exists()
     given = classify_drive(*drive, p, ground=grow_ground(*drive, p))
     assert_same_labels(run, given)
     steps = []
@@ -130,7 +130,7 @@ def test_an_interrupted_run_continues_and_ends_the_same(street, few_votes, tmp_p
     run = folder_of(tmp_path / "run", trajectory, sweeps, p)
     run_classify(run, threads=1)
     assert_same_labels(run, classify_drive(sweeps, run.trajectory(), p))
-    assert not (run.notes / "evidence").exists()
+    assert not (run.state_dir / "evidence").exists()
 
     again = folder_of(tmp_path / "again", trajectory, sweeps, p)
     # One file of ground comes first; then while it votes, and while it adds tracks.
@@ -151,7 +151,7 @@ def test_an_interrupted_run_continues_and_ends_the_same(street, few_votes, tmp_p
             patch.setattr(module, name, interrupted)
             with pytest.raises(KeyboardInterrupt):
                 run_classify(again)
-    seen = sorted((again.notes / "evidence").glob("*/*.npy"))
+    seen = sorted((again.state_dir / "evidence").glob("*/*.npy"))
     assert len(seen) == len(sweeps)
     size = seen[4].stat().st_size
     with seen[4].open("r+b") as stream:  # as a disk may leave it when the power goes

@@ -317,7 +317,7 @@ def test_notes_that_name_themselves_end(run: RunFolder) -> None:
 def test_a_camera_lies_in_the_run(run: RunFolder, folder: object) -> None:
     run.write(run.path / "labels" / "a.label", lambda stream: stream.write(b"1"), {})
     run.save()
-    for file in (run.path / "run.yaml", run.notes / "run.yaml"):
+    for file in (run.path / "run.yaml", run.state_dir / "run.yaml"):
         tree = yaml.safe_load(file.read_text())
         tree["cameras"]["front"] = {"folder": folder, "settings": {}}
         file.write_text(yaml.safe_dump(tree))
@@ -329,7 +329,7 @@ def test_a_camera_lies_in_the_run(run: RunFolder, folder: object) -> None:
 def test_nothing_outside_is_written_or_deleted(tmp_path: Path, run: RunFolder, name: str) -> None:
     own = written(tmp_path / "own", "mine")
     run.write(run.path / "labels" / "a.label", lambda stream: stream.write(b"1"), {"classify": "1"})
-    records = run.notes / "records" / "labels.jsonl"
+    records = run.state_dir / "records" / "labels.jsonl"
     line = json.loads(records.read_text().splitlines()[-1])
     records.write_text(json.dumps({**line, "name": name}) + "\n")
     opened = RunFolder.open(run.path)
@@ -339,7 +339,7 @@ def test_nothing_outside_is_written_or_deleted(tmp_path: Path, run: RunFolder, n
     for act in (
         lambda: opened.write(outside, lambda stream: stream.write(b"2"), {}),
         lambda: opened.remove(outside),
-        lambda: opened.forget(outside),
+        lambda: opened.invalidate(outside),
     ):
         with pytest.raises(RunError, match="lies outside"):
             act()
@@ -359,7 +359,7 @@ def test_nothing_outside_is_written_or_deleted(tmp_path: Path, run: RunFolder, n
 )  # fmt: skip
 def test_records_of_other_types_count_as_lost(run: RunFolder, record: dict[str, object]) -> None:
     run.write_frame(0, FRAME, {"odometry": "1"})
-    records = run.notes / "records" / "frames.jsonl"
+    records = run.state_dir / "records" / "frames.jsonl"
     line = json.loads(records.read_text().splitlines()[-1])
     records.write_text(json.dumps({**line, **record}) + "\n")
     assert RunFolder.open(run.path).frame_key(0) == {}

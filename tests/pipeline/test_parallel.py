@@ -62,7 +62,7 @@ def test_two_processes_make_what_one_makes(
     folder = run(drive, "run", camera="all", jobs=2, progress=lambda *step: steps.append(step))
     assert results(tmp_path / "run") == results(whole)
     assert {state.state for state in states(folder, verify=True)} == {"done"}
-    assert not (folder.path / ".docdepth" / "parts").exists()
+    assert not (folder.path / ".docdepth" / "staging").exists()
     for stage, total in (("classify", SWEEPS), ("render", 2 * SWEEPS)):
         done = [step[1] for step in steps if step[0] == stage]
         assert done == sorted(done)
@@ -84,7 +84,7 @@ def test_a_worker_that_dies_ends_the_run_and_the_same_command_continues(
 
     with pytest.raises(RunError, match="a worker has died"):
         run(drive, tmp_path / "run", camera="all", jobs=2, progress=kill)
-    assert not (tmp_path / "run" / ".docdepth" / "parts").exists()
+    assert not (tmp_path / "run" / ".docdepth" / "staging").exists()
     assert run(drive, tmp_path / "run", camera="all", jobs=2).stage("classify").frames == SWEEPS
     assert results(tmp_path / "run") == results(whole)
 
@@ -102,7 +102,7 @@ def test_it_does_not_matter_where_a_drive_is_cut(
         for number, chunk in enumerate(chunks):
             alone, itself = pickle.loads(pickle.dumps((task, chunk)))
             one = alone(itself)
-            run.take(one.files)
+            run.commit(one.files)
             lengths.append(len(chunk))
             yield number, one.result
 
@@ -123,7 +123,7 @@ def warn(context: ChunkContext, chunk: list[int]) -> int:
 
 def begun(path: Path) -> RunFolder:
     folder = RunFolder.create(path, None, Parameters())
-    folder.notes.mkdir(parents=True)
+    folder.state_dir.mkdir(parents=True)
     folder.save()
     return folder
 

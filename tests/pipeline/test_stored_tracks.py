@@ -43,7 +43,7 @@ def track_of(number, length):
 
 def test_any_array_of_a_file_is_read_alone(run):
     arrays = arrays_of(np.random.default_rng(0))
-    path = run.notes / "some.npy"
+    path = run.state_dir / "some.npy"
     write_arrays(run, path, KEY, iter(arrays))
     offsets = array_offsets(path)
     for k, array in enumerate(arrays):
@@ -81,7 +81,7 @@ def test_tracks_are_read_as_they_were_kept(run):
             take(sweep)
         return tracks
 
-    folder = run.notes / "tracks"
+    folder = run.state_dir / "tracks"
     assert not are_stored(run, folder, KEY)
     store_tracks(run, folder, KEY, find)
     assert are_stored(run, folder, KEY)
@@ -104,13 +104,13 @@ def test_a_drive_without_moving_things_keeps_no_tracks(run):
         take(TrackedSweep())
         return []
 
-    store_tracks(run, run.notes / "tracks", KEY, find)
-    assert stored_tracks(run.notes / "tracks") == []
-    assert not stored_sweeps(run.notes / "tracks", 1)[0]
+    store_tracks(run, run.state_dir / "tracks", KEY, find)
+    assert stored_tracks(run.state_dir / "tracks") == []
+    assert not stored_sweeps(run.state_dir / "tracks", 1)[0]
 
 
 def test_damaged_tracks_are_refused(run):
-    folder = run.notes / "tracks"
+    folder = run.state_dir / "tracks"
     store_tracks(run, folder, KEY, lambda take: [track_of(7, 3)])
     (paths,) = (file for file in folder.iterdir() if file.name.startswith("paths"))
     whole = paths.read_bytes()

@@ -18,7 +18,7 @@ from docdepth.geometry.points import GROUND
 from docdepth.geometry.se3 import inverse, poses_from, rotation_exp
 from docdepth.io.poses import read_poses, write_kitti
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.run_inputs import find_looks_from, find_up
+from docdepth.pipeline.run_inputs import find_ray_origin, find_up
 from small_drive import SWEEPS, write_small_drive
 from walled_yard import pose, scan, straight
 
@@ -213,7 +213,7 @@ def test_a_run_of_points_in_the_frame_of_the_vehicle(tmp_path, caplog):
 def test_nothing_is_found_where_returns_have_no_neighbours_from_anywhere():
     rng = np.random.default_rng(4)
     cloud = rng.uniform(-20, 20, (3000, 3))
-    assert find_looks_from(_Made([cloud] * 3)) is None
+    assert find_ray_origin(_Made([cloud] * 3)) is None
 
 
 @pytest.mark.parametrize("degrees", [(90, 0, 0), (0, 90, 0)])

@@ -38,7 +38,7 @@ def show_states(folder: RunFolder, as_json: bool, verify: bool = False) -> None:
     """Print the state of each stage."""
     left_out = folder.manifest.derived.skipped
     skipped = [] if left_out is None else left_out.sentences()
-    found, busy = states(folder, verify=verify), holder(folder.notes / "lock")
+    found, busy = states(folder, verify=verify), holder(folder.state_dir / "lock")
     estimate = folder.manifest.estimate
     if as_json:
         stages = [state.as_dict() for state in found]

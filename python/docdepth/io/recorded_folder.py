@@ -20,11 +20,11 @@ from docdepth.io.lock import locked
 
 log = logging.getLogger(__name__)
 
-NOTES = ".docdepth"
+STATE_DIR = ".docdepth"
 """Folder of a run with what docdepth needs to continue it; nothing in it is a result."""
 
 
-class HandedFile(NamedTuple):
+class StagedFile(NamedTuple):
     """A file that a worker has written, under a name that it does not keep.
 
     Attributes
@@ -48,8 +48,8 @@ class RecordedFolder:
     Nothing that has no record is overwritten or deleted.
 
     A copy in another process (the folder is pickled) is that of a worker. It reads like the folder
-    itself. What it writes waits in ``.docdepth/parts`` for :meth:`take`, so that one process alone
-    gives names and keeps records.
+    itself. What it writes waits in ``.docdepth/staging`` for :meth:`commit`, so that one process
+    alone gives names and keeps records.
 
     Parameters
     ----------
@@ -57,13 +57,13 @@ class RecordedFolder:
 
     Attributes
     ----------
-    handed : list of HandedFile, or None
+    staged : list of StagedFile, or None
         What the copy of a worker has written; None for the folder itself.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
-        self.handed: list[HandedFile] | None = None
+        self.staged: list[StagedFile] | None = None
         self._records: dict[Path, FileRecords] = {}
         self._writer = uuid4().hex
         self._lock_depth, self._writing = 0, RLock()
@@ -75,14 +75,14 @@ class RecordedFolder:
         return {**vars(self), "path": self.path.absolute(), "_records": {}, "_writing": None}
 
     def __setstate__(self, state: dict[str, object]) -> None:
-        vars(self).update(state, handed=[], _writing=RLock())
+        vars(self).update(state, staged=[], _writing=RLock())
 
     @property
-    def parts(self) -> Path:
+    def staging(self) -> Path:
         """Folder of files that workers have written and that have no name yet."""
-        return self.notes / "parts"
+        return self.state_dir / "staging"
 
-    def take(self, files: Iterable[HandedFile]) -> None:
+    def commit(self, files: Iterable[StagedFile]) -> None:
         """Give files of a worker their names, and record them.
 
         Raises
@@ -118,7 +118,7 @@ class RecordedFolder:
         """
         with ExitStack() as stack:
             if not self._lock_depth:
-                stack.enter_context(locked(self.notes / "lock", self.path, what))
+                stack.enter_context(locked(self.state_dir / "lock", self.path, what))
                 self._check_unchanged()
             self._lock_depth += 1
             try:
@@ -143,7 +143,7 @@ class RecordedFolder:
                 file = self._records_file(folder)
                 self._records[folder] = (
                     FileRecords(folder, file)
-                    if self.handed is None
+                    if self.staged is None
                     else shared_records(folder, file, self._writer)
                 )
             return self._records[folder]
@@ -155,12 +155,12 @@ class RecordedFolder:
 
     def _records_file(self, folder: Path) -> Path:
         name = folder.relative_to(self.path).as_posix()
-        return self.notes / "records" / f"{'run' if name == '.' else name}.jsonl"
+        return self.state_dir / "records" / f"{'run' if name == '.' else name}.jsonl"
 
     @property
-    def notes(self) -> Path:
+    def state_dir(self) -> Path:
         """Folder with what docdepth needs to continue the run."""
-        return self.path / NOTES
+        return self.path / STATE_DIR
 
     def key(self, path: Path) -> dict[str, str]:
         """What a file was made of, a hash for each stage; empty if the file is not whole."""
@@ -198,17 +198,17 @@ class RecordedFolder:
             The file cannot be written.
         """
         self._refuse_outside(path.parent)
-        if self.handed is None:
+        if self.staged is None:
             write_atomically(
                 path, write, sync=sync, before_rename=lambda one: self._record(path, one, key)
             )
             return
-        part, handed, inside = self.parts / uuid4().hex, self.handed, path.relative_to(self.path)
+        part, staged, inside = self.staging / uuid4().hex, self.staged, path.relative_to(self.path)
 
-        def hand_over(written: Written) -> None:
-            handed.append(HandedFile(str(part.relative_to(self.path)), str(inside), written, key))
+        def stage(written: Written) -> None:
+            staged.append(StagedFile(str(part.relative_to(self.path)), str(inside), written, key))
 
-        write_atomically(part, write, sync=sync, before_rename=hand_over)
+        write_atomically(part, write, sync=sync, before_rename=stage)
 
     def _record(self, path: Path, written: Written, key: dict[str, str]) -> None:
         """Note a file that gets its name next."""
@@ -268,7 +268,7 @@ class RecordedFolder:
         self.write(path, lambda stream: stream.write(part.read_bytes()), key)
         part.unlink()
 
-    def forget(self, path: Path) -> None:
+    def invalidate(self, path: Path) -> None:
         """Have a file made again."""
         self.records(path.parent).invalidate(path.name)
 

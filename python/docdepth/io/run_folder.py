@@ -39,7 +39,7 @@ from docdepth.io.manifest import (
     first_difference,
     read_manifest,
 )
-from docdepth.io.recorded_folder import NOTES, RecordedFolder, move_aside
+from docdepth.io.recorded_folder import STATE_DIR, RecordedFolder, move_aside
 from docdepth.io.yaml_json import parse_json
 
 log = logging.getLogger(__name__)
@@ -161,7 +161,7 @@ class RunFolder(RecordedFolder):
             return False
         # Another command may start a run here at the moment. A file has a record before it gets
         # its name, so files are listed first.
-        own = {NOTES, f".{self._manifest_path.name}.part"}
+        own = {STATE_DIR, f".{self._manifest_path.name}.part"}
         others = [file for file in self.path.iterdir() if file.name not in own]
         if self._records_file(self.path).is_file():
             return False
@@ -226,9 +226,9 @@ class RunFolder(RecordedFolder):
             folders.append(name)
             self.save()
 
-    def forget(self, path: Path) -> None:
+    def invalidate(self, path: Path) -> None:
         """Have a file made again."""
-        super().forget(path)
+        super().invalidate(path)
         self.__dict__.pop("_sensors", None)
 
     @property
@@ -237,7 +237,7 @@ class RunFolder(RecordedFolder):
 
     @property
     def _copy_path(self) -> Path:
-        return self.notes / "run.yaml"
+        return self.state_dir / "run.yaml"
 
     @property
     def trajectory_path(self) -> Path:
@@ -309,7 +309,7 @@ class RunFolder(RecordedFolder):
 
     @property
     def _stage_inputs_path(self) -> Path:
-        return self.notes / "stage_inputs.json"
+        return self.state_dir / "stage_inputs.json"
 
     def _all_stage_inputs(self) -> dict[str, object]:
         try:

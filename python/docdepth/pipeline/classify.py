@@ -80,9 +80,9 @@ def run_classify(
             )
             store.write_tracks()
             profile.add(check_classes(store.counts))
-            run.remove_tree(run.notes / EVIDENCE)
-            remove_others(run, run.notes / GROUND, ground_key)
-            remove_others(run, run.notes / TRACKING, key)
+            run.remove_tree(run.state_dir / EVIDENCE)
+            remove_others(run, run.state_dir / GROUND, ground_key)
+            remove_others(run, run.state_dir / TRACKING, key)
             stage.remove_outdated()
 
 

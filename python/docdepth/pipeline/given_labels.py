@@ -95,7 +95,7 @@ def take_labels(
                     given.folder,
                 )  # fmt: skip
             stage.remove_outdated()
-            remove_others(run, run.notes / TRACKING, key)
+            remove_others(run, run.state_dir / TRACKING, key)
 
 
 def _check(given: LabelFolder, run: RunFolder, frames: Sequence[int]) -> None:

@@ -30,7 +30,7 @@ class InputFiles:
     def __init__(self, run: RunFolder) -> None:
         self._run = run
         self._hashed = run.manifest.inputs is not None and run.manifest.inputs.hash_inputs
-        self._path = run.notes / "inputs.json"
+        self._path = run.state_dir / "inputs.json"
         """By name the size, the time and perhaps the hash of each file."""
         self._before = _read(self._path)
         self._now: dict[str, _Known] = {}

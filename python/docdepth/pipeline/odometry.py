@@ -67,7 +67,7 @@ def run_odometry(
         if not left and stage.is_made_once():
             return
         with stage.working() as profile:
-            checkpoint = run.notes / _CHECKPOINTS / stage.key
+            checkpoint = run.state_dir / _CHECKPOINTS / stage.key
             _remove_old_checkpoints(checkpoint)
             with profile.timer("poses"):
                 odometry = register_drive(
@@ -96,7 +96,7 @@ def run_odometry(
 
 
 _CHECKPOINTS = "odometry"
-"""Folder in the notes of a run with what each pass found. An interrupted stage goes on from there,
+"""Folder in the state of a run with what each pass found. An interrupted stage goes on from there,
 and frames are made again, bit for bit."""
 
 

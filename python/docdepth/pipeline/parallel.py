@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from docdepth._core import __version__
 from docdepth.concurrency import Timer, map_unordered, thread_count
 from docdepth.errors import MissingExtraError, RunError
-from docdepth.io.recorded_folder import HandedFile
+from docdepth.io.recorded_folder import StagedFile
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.stage import recorded_warnings
 
@@ -207,11 +207,11 @@ class WorkerPool:
                 yield number, work(context, chunk)
                 done += size(chunk)
             return
-        run.remove_tree(run.parts)  # of an interrupted command
+        run.remove_tree(run.staging)  # of an interrupted command
         task = partial(_work_elsewhere, run, work, self.threads_each(len(chunks)), __version__)
         try:
             for number, out in self.map(task, chunks):
-                run.take(out.files)
+                run.commit(out.files)
                 timer.add(out.seconds, out.peak_memory_mb)
                 for text in out.warnings:
                     log.warning("%s", text)
@@ -219,7 +219,7 @@ class WorkerPool:
                 progress(done)
                 yield number, out.result
         finally:
-            run.remove_tree(run.parts)
+            run.remove_tree(run.staging)
 
     def map(
         self, task: Callable[[_Item], _Result], items: Sequence[_Item]
@@ -263,7 +263,7 @@ class _ChunkResult(Generic[_Result]):
     """What a worker returns."""
 
     result: _Result
-    files: list[HandedFile]
+    files: list[StagedFile]
     seconds: dict[str, float]
     peak_memory_mb: int
     warnings: list[str]
@@ -279,7 +279,7 @@ def _work_elsewhere(
             "was started",
             "install the same everywhere",
         )
-    if not run.notes.is_dir():
+    if not run.state_dir.is_dir():
         raise RunError(
             f"{socket.gethostname()} does not see {run.path}",
             "put the run folder on a disk that all workers share, under the same path",
@@ -287,7 +287,7 @@ def _work_elsewhere(
     timer = Timer()
     with recorded_warnings() as warnings:
         result = work(ChunkContext(run, threads, timer, lambda done: None), chunk)
-    return _ChunkResult(result, run.handed or [], timer.seconds, timer.peak_memory_mb(), warnings)
+    return _ChunkResult(result, run.staged or [], timer.seconds, timer.peak_memory_mb(), warnings)
 
 
 def _start_worker(lifeline: Connection) -> None:

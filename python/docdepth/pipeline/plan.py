@@ -279,7 +279,7 @@ def require(run: RunFolder, name: str, *, frames: bool = True) -> None:
         run.check_has_frames()
 
 
-def forget_cameras(path: Path, names: Sequence[str]) -> None:
+def remove_undrawn_cameras(path: Path, names: Sequence[str]) -> None:
     """Take back cameras of which no map was drawn, so that the run can go on without them."""
     run = RunFolder.open(path)  # as it was saved, without the settings that were refused
     undrawn = [name for name in names if name in run.cameras and not _has_maps(run, name)]

@@ -29,7 +29,7 @@ from docdepth.pipeline.execution import Execution
 from docdepth.pipeline.given_labels import open_labels, take_labels
 from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.odometry import run_odometry
-from docdepth.pipeline.plan import forget_cameras, plan, require
+from docdepth.pipeline.plan import plan, remove_undrawn_cameras, require
 from docdepth.pipeline.render import run_render
 from docdepth.pipeline.resources import keep_budget, parameters_within_budget, within_memory
 from docdepth.pipeline.run_cameras import RunCamera, add_cameras, open_run_cameras, run_cameras
@@ -226,7 +226,7 @@ def render_again(
             take_labels(folder, progress)
         run_render(folder, streams, threads, progress, renderer)
     except DocDepthError:
-        forget_cameras(folder.path, new)
+        remove_undrawn_cameras(folder.path, new)
         raise
     return folder
 
@@ -333,7 +333,7 @@ def _make(folder: RunFolder, recording: Dataset, execution: Execution) -> None:
                 whole = folder.path.absolute()  # as workers name it
                 if whole not in error.path.absolute().parents:
                     raise
-                folder.forget(folder.path / error.path.absolute().relative_to(whole))
+                folder.invalidate(folder.path / error.path.absolute().relative_to(whole))
         raise RunError(
             f"more than {_MOST_REPAIRS} files of {folder.path} are damaged; check the disk"
         )

@@ -77,8 +77,8 @@ def open_inputs(inputs: RunInputs, begun: DerivedInputs | None = None) -> Opened
     """
     whole = _open_whole(inputs)
     derived = DerivedInputs(skipped=_find_skipped(inputs, whole, begun))
-    looks_from = find_looks_from(_part(whole, inputs, derived), begun)
-    derived = derived.model_copy(update={"sensor_origin": looks_from})
+    origin = find_ray_origin(_part(whole, inputs, derived), begun)
+    derived = derived.model_copy(update={"sensor_origin": origin})
     up = find_up(_part(whole, inputs, derived), begun)
     return _opened(whole, inputs, derived.model_copy(update={"up": up}))
 
@@ -136,7 +136,7 @@ def _part(recording: Dataset, inputs: RunInputs, derived: DerivedInputs) -> Data
     return kept_part(recording, inputs.frames, derived.skipped)
 
 
-def find_looks_from(
+def find_ray_origin(
     recording: Dataset, begun: DerivedInputs | None = None
 ) -> Point | tuple[Point, ...] | None:
     """Where rays begin, found where they clearly do not begin at the origin; metres.

@@ -204,7 +204,7 @@ class Stage:
             if self.run.stage_inputs(name) in (
                 self.previous.inputs,
                 before,
-            ):  # someone has changed notes
+            ):  # someone has changed the state
                 return f"{name} was made again"
             return f"{name} is out of date: {self.previous._why_outdated()}"
         if name == "version":

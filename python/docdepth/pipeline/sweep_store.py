@@ -41,10 +41,10 @@ from docdepth.pipeline.stored_arrays import (
 )
 
 EVIDENCE = "evidence"
-"""Folder in the notes of a run with what an interrupted stage goes on with."""
+"""Folder in the state of a run with what an interrupted stage goes on with."""
 
 GROUND, TRACKING = "ground", "tracks"
-"""Folders in the notes of a run. With them, single frames are classified again."""
+"""Folders in the state of a run. With them, single frames are classified again."""
 
 _OF_EVIDENCE, _OF_DETECTIONS = 4, 3
 """Arrays of a file of evidence."""
@@ -67,7 +67,7 @@ def write_classified(
 
 def ground_file(run: RunFolder, chunk: Chunk) -> Path:
     """Where the ground labels of a chunk of the drive are kept."""
-    return run.notes / GROUND / f"chunk_{chunk.sweeps[0]:06d}.npy"
+    return run.state_dir / GROUND / f"chunk_{chunk.sweeps[0]:06d}.npy"
 
 
 class _GroundLabels:
@@ -128,10 +128,10 @@ class FrameStore:
 
     @property
     def _tracking(self) -> Path:
-        return self._run.notes / TRACKING
+        return self._run.state_dir / TRACKING
 
     def _evidence_file(self, index: int) -> Path:
-        return self._run.notes / EVIDENCE / self._key["classify"] / f"{index:06d}.npy"
+        return self._run.state_dir / EVIDENCE / self._key["classify"] / f"{index:06d}.npy"
 
     def is_done(self, index: int) -> bool:
         if not self.has_tracks() and not are_stored(self._run, self._tracking, self._key):

@@ -67,17 +67,17 @@ def _begin(
     """A copy of a run with other parameters, whose results are links."""
     shutil.rmtree(path, ignore_errors=True)
     root = source.path.resolve()
-    notes = source.notes.resolve()
+    state = source.state_dir.resolve()
 
     def not_shared(folder: str, names: list[str]) -> list[str]:
-        top = Path(folder) in (root, notes)
+        top = Path(folder) in (root, state)
         return [name for name in names if top and name in _NOT_SHARED]
 
     shutil.copytree(root, path, copy_function=os.symlink, ignore=not_shared)
-    records = source.notes / "records"
+    records = source.state_dir / "records"
     trial = RunFolder(path)
     if records.is_dir():
-        shutil.copytree(records, trial.notes / "records")
+        shutil.copytree(records, trial.state_dir / "records")
     trial.manifest = source.manifest.model_copy(
         update={"trial": key, "parameters": parameters}, deep=True
     )
