@@ -26,7 +26,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from results import add_results_argument, publish
+from results import parser_of, publish
 
 STAGES = {"run_odometry": "odometry", "run_classify": "classify", "run_render": "render"}
 Times = dict[str, tuple[float, float]]
@@ -96,7 +96,7 @@ def run_kiss_icp(drive: str, frames: str) -> tuple[Times, int]:
 def run_dufomap(drive: str, frames: str) -> tuple[Times, int]:
     """DUFOMap with the settings of benchmarks/peers.py."""
     import numpy as np
-    from peer_classifiers import Drive, dufomap
+    from peers import Drive, dufomap
 
     from docdepth.datasets import open_dataset, usable_points
     from docdepth.odometry.odometry import register_drive
@@ -131,7 +131,7 @@ def run_child(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("drive")
     parser.add_argument("--frames", default="0:60", help="sweeps A to B-1")
     parser.add_argument("--repeat", type=int, default=5, help="turns")
@@ -140,7 +140,6 @@ def main() -> None:
         "--set", action="append", default=[], metavar="NAME=VALUE", help="measured as default, set"
     )
     parser.add_argument("--job", help=argparse.SUPPRESS)
-    add_results_argument(parser)
     options = parser.parse_args()
     if options.job:
         if options.job in PEERS:

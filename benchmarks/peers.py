@@ -13,26 +13,74 @@ also evaluated by the 5 cm protocol of DynamicMap_Benchmark and by ERASOR's voxe
 
 from __future__ import annotations
 
-import argparse
-import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from peer_classifiers import Drive, dufomap
-from peer_maps import MapEvaluation, MapResult
-from results import add_results_argument, publish
+from peer_maps import compare_map
+from results import parser_of, publish, script
 
 from docdepth.datasets import Dataset, open_dataset, usable_points
-from docdepth.errors import DocDepthError
 from docdepth.evaluation import LabelEvaluation, LabelResult, Table
-from docdepth.evaluation.label_counts import NOTE
+from docdepth.evaluation.label_counts import NOTE, LabelCounts
+from docdepth.evaluation.tables import number
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.sensor_rig import LidarView, lidar_views
 from docdepth.io.poses import read_poses
 from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.odometry import register_drive
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Usable points of each sweep with their true labels, read on request."""
+
+    poses: np.ndarray
+    source: str  # of the poses
+    points: Callable[[int], np.ndarray]
+    labels: Callable[[int], np.ndarray]
+    dynamic: Callable[[int], np.ndarray] | None = None  # docdepth's own result
+    seconds: float = float("nan")
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def in_world(self, index: int) -> np.ndarray:
+        """Points of a sweep, world frame, float32 (N, 3)."""
+        pose = self.poses[index]
+        return (self.points(index) @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32)
+
+
+def dufomap(
+    drive: Drive, d_p: int, d_s: float, resolution: float, threads: int
+) -> tuple[list[np.ndarray], float]:
+    """Dynamic flags of all points by DUFOMap, and its seconds without reading.
+
+    Each sweep is compared with the map of the whole drive.
+    """
+    try:
+        from dufomap import dufomap as DufoMap
+    except ImportError:
+        raise SystemExit("DUFOMap is not installed: pip install dufomap") from None
+    # A single point at the origin of the sensor makes it find nothing; drives have none.
+    peer = DufoMap(resolution, d_s, d_p, num_threads=threads)
+    dynamic, seconds = [], 0.0
+    for segment in (False, True):
+        for index in range(len(drive)):
+            points, pose = drive.points(index), drive.poses[index]
+            start = time.perf_counter()
+            if segment:
+                dynamic.append(peer.segment(points, pose, cloud_transform=True) > 0)
+            else:
+                peer.run(points, pose, cloud_transform=True)
+            seconds += time.perf_counter() - start
+        if not segment:
+            start = time.perf_counter()
+            peer.oncePropagateCluster(if_propagate=True, if_cluster=False)
+            seconds += time.perf_counter() - start
+    return dynamic, seconds
 
 
 def drive_of_run(run: Path, recording: Path) -> Drive:
@@ -89,35 +137,36 @@ def labels_of(dataset: Dataset, index: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Row:
-    """Metrics of one method."""
+    """Metrics of one method: point by point, and of its map by the nearest points and by voxels."""
 
     name: str
     seconds: float  # per sweep
     labels: LabelResult
-    maps: MapResult
+    nearest: LabelCounts
+    voxels: LabelCounts
 
 
 def evaluate(name: str, drive: Drive, dynamic: Callable[[int], np.ndarray], seconds: float) -> Row:
     """Metrics of a method by all protocols."""
-    by_point, maps = LabelEvaluation(drive.source), MapEvaluation(drive.source)
+    by_point, sweeps = LabelEvaluation(drive.source), []
     for index in range(len(drive)):
         truth, found = drive.labels(index), dynamic(index)
         by_point.add(truth, found, np.linalg.norm(drive.points(index), axis=1))
-        maps.add(drive.in_world(index), truth, found)
-    return Row(name, seconds / len(drive), by_point.result(), maps.result())
+        sweeps.append((drive.in_world(index), truth, found))
+    return Row(name, seconds / len(drive), by_point.result(), *compare_map(sweeps))
 
 
 def table(rows: list[Row]) -> Table:
     """One row per method."""
     header = ("method", "SA %", "DA %", "F1", "precision", "IoU")
     header += ("5 cm: SA %", "DA %", "HA %", "0.2 m: PR %", "RR %", "ms per sweep")
+    digits = (2, 2, 4, 3, 3, 2, 2, 2, 2, 2, 0)
     lines = []
     for row in rows:
-        own, near, voxels = row.labels.counts, row.maps.nearest, row.maps.voxels
-        cells = [f"{own.sa:.2f}", f"{own.da:.2f}", f"{own.f1:.4f}", f"{own.precision:.3f}"]
-        cells += [f"{own.iou:.3f}", f"{near.sa:.2f}", f"{near.da:.2f}", f"{100 * near.f1:.2f}"]
-        cells += [f"{voxels.pr:.2f}", f"{voxels.rr:.2f}", f"{1e3 * row.seconds:.0f}"]
-        lines.append((row.name, *cells))
+        own, near, voxels = row.labels.counts, row.nearest, row.voxels
+        figures = (own.sa, own.da, own.f1, own.precision, own.iou, near.sa, near.da, 100 * near.f1)
+        figures += (voxels.sa, voxels.da, 1e3 * row.seconds)
+        lines.append((row.name, *map(number, figures, digits)))
     result = rows[0].labels
     title = f"{result.protocol}; poses: {result.poses}; {result.sweeps} sweeps"
     note = (
@@ -128,7 +177,7 @@ def table(rows: list[Row]) -> Table:
 
 
 def main(arguments: list[str] | None = None) -> list[Row]:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("recording", type=Path, help="a labelled recording")
     parser.add_argument("--run", type=Path, help="a classified run folder of it")
     parser.add_argument("--poses", type=Path, help="TUM or KITTI poses, without --run")
@@ -143,7 +192,6 @@ def main(arguments: list[str] | None = None) -> list[Row]:
         help="DUFOMap's inflation of unknown space [voxels]",
     )
     parser.add_argument("--threads", type=int, default=0, help="0 uses all cores")
-    add_results_argument(parser)
     args = parser.parse_args(arguments)
     if args.run:
         drive = drive_of_run(args.run, args.recording)
@@ -160,7 +208,4 @@ def main(arguments: list[str] | None = None) -> list[Row]:
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except DocDepthError as error:
-        sys.exit(str(error))
+    script(main)

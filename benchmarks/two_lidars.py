@@ -14,21 +14,18 @@ The rig carries two XT-32: one upright, one beside the camera and rolled by 90 d
 
 from __future__ import annotations
 
-import argparse
 import math
 import shutil
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from results import add_results_argument, publish
+from results import parser_of, publish, script
 
 from docdepth import run
 from docdepth.config import parameters
-from docdepth.errors import DocDepthError
 from docdepth.evaluation.depth_metrics import PixelSums, RegionErrors
 from docdepth.evaluation.held_out import HeldOutResult, JudgedView, evaluate_held_out
 from docdepth.evaluation.left_out import LeftOut
@@ -159,7 +156,7 @@ class ExactJudge:
     """The errors of exact depth in the views of the second LiDAR."""
 
     def __init__(self, drive: Drive, T_camera_lidar: NDArray[np.float64]) -> None:
-        self._drive, self._sums = drive, PixelSums([0.0, 80.0])
+        self._drive, self._sums = drive, PixelSums(80.0)
         T_camera_second = T_camera_lidar @ T_lidar_second()
         T_camera_second[:3, 3] = 0
         self._T_lidar_camera = T_lidar_second() @ inverse(T_camera_second)
@@ -184,7 +181,7 @@ HEADER = ("depth of", *FIGURES, *(f"clear: {figure}" for figure in FIGURES))
 
 def main(arguments: list[str] | None = None) -> None:
     """Print a table, a row for each judgement."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("drives", type=Path, help="folder of the drives; missing ones are made")
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the runs")
     parser.add_argument("--scenes", nargs="+", default=["city", "crossing", "residential"])
@@ -192,7 +189,6 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--frames", type=int, default=30)
     parser.add_argument("--every", type=int, default=5)
     parser.add_argument("--seed", type=int, default=7)
-    add_results_argument(parser)
     args = parser.parse_args(arguments)
     tables = []
     for name in args.scenes:
@@ -224,7 +220,4 @@ def judge(
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except DocDepthError as error:
-        sys.exit(str(error))
+    script(main)

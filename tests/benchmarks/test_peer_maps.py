@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from peer_maps import MapEvaluation, nearest_neighbor_protocol, voxel_protocol
+from peer_maps import compare_map, nearest_neighbor_protocol, voxel_protocol
 
 from docdepth.evaluation import LabelCounts
 
@@ -59,26 +59,19 @@ def test_voxel_protocol_equals_brute_force() -> None:
     result = voxel_protocol(points, dynamic, kept)
     total = sum(is_dynamic for _, is_dynamic in truth)
     assert (result.static, result.dynamic) == (len(truth) - total, total)
-    assert result.pr == pytest.approx(100 * preserved / (len(truth) - total))
-    assert result.rr == pytest.approx(100 * (total - remaining) / total)
+    assert result.sa == pytest.approx(100 * preserved / (len(truth) - total))
+    assert result.da == pytest.approx(100 * (total - remaining) / total)
 
 
-def test_an_untouched_map_preserves_everything_and_rejects_nothing() -> None:
+def test_a_map_of_several_sweeps() -> None:
+    """Untouched it preserves everything; a removed point beside a kept one counts as kept."""
     random = np.random.default_rng(4)
-    evaluation = MapEvaluation()
-    for _ in range(3):
-        points = random.uniform(-20, 20, (5000, 3)).astype(np.float32)
-        labels = np.where(random.random(5000) < 0.1, 251, 9).astype(np.uint32)
-        evaluation.add(points, labels, np.zeros(5000, bool))
-    result = evaluation.result()
-    assert (result.nearest.sa, result.nearest.da) == (100.0, 0.0)
-    assert (result.voxels.pr, result.voxels.rr) == (100.0, 0.0)
-
-
-def test_a_removed_point_beside_a_kept_one_counts_as_kept() -> None:
-    evaluation = MapEvaluation()
-    points = np.array([[0, 0, 0], [0.04, 0, 0], [5, 0, 0]], np.float32)
-    labels = np.array([9, 251, 251], np.uint32)
-    evaluation.add(points, labels, np.array([False, True, True]))
-    nearest = evaluation.result().nearest
+    points = random.uniform(-20, 20, (3, 5000, 3)).astype(np.float32)
+    labels = np.where(random.random((3, 5000)) < 0.1, 251, 9).astype(np.uint32)
+    pairs = zip(points, labels, strict=True)
+    for counts in compare_map((p, truth, np.zeros(5000, bool)) for p, truth in pairs):
+        assert (counts.sa, counts.da) == (100.0, 0.0)
+    three = np.array([[0, 0, 0], [0.04, 0, 0], [5, 0, 0]], np.float32)
+    truth, removed = np.array([9, 251, 251], np.uint32), np.array([False, True, True])
+    nearest, _ = compare_map([(three, truth, removed)])
     assert (nearest.dynamic_missed, nearest.dynamic_found) == (1, 1)

@@ -109,8 +109,8 @@ def test_errors_by_region(layered, drive) -> None:
             chosen = p["class"] == names[name]
         same(errors, chosen)
     for row in result.by_edge_distance:
-        same(row.errors, (p["edge"] > row.near) & (p["edge"] <= row.far))
-    assert sum(row.errors.pixels for row in result.by_edge_distance) == result.all.pixels
+        same(row.figures, ((p["edge"] > row.near) | (row.near == 0)) & (p["edge"] <= row.far))
+    assert sum(row.figures.pixels for row in result.by_edge_distance) == result.all.pixels
 
 
 def test_equal_pixels_of_two_methods(layered, drive, tmp_path) -> None:

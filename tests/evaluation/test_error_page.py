@@ -13,7 +13,6 @@ from docdepth.errors import DatasetError
 from docdepth.evaluation import DepthEvaluation, LabelEvaluation
 from docdepth.evaluation.error_page import WORST, DepthPage, HeldOutPage, LabelPage
 from docdepth.evaluation.held_out import JudgedView
-from docdepth.evaluation.runs import JudgedImage, JudgedSweep
 from docdepth.visualization.pictures import (
     FALSE_COLOR,
     FOUND_COLOR,
@@ -38,21 +37,20 @@ def captions_of(page: str) -> list[str]:
     return re.findall(r"<span class=name [^>]*>([^<]+)</span>", page)
 
 
-def image(wrong: int) -> JudgedImage:
+def image(wrong: int) -> tuple[str, np.ndarray, np.ndarray]:
     """A wall at 10 m of which some rows are drawn at 8 m, one at 13 m, one not at all."""
     truth = np.full((40, 60), 10, np.float32)
     depth = truth.copy()
     depth[:wrong] = 8
     depth[38], depth[39] = 13, np.nan
-    return JudgedImage(f"{wrong:03d}", depth, truth)
+    return f"{wrong:03d}", depth, truth
 
 
 def test_the_worst_depth_maps_come_first_with_their_errors_in_colour(tmp_path) -> None:
     evaluation, page = DepthEvaluation(), DepthPage("depth <here>", 80.0, None)
     for wrong in [*range(20)]:
-        one = image(wrong)
-        evaluation.add(one.depth, one.truth)
-        page.look(one)
+        evaluation.add(*image(wrong)[1:])
+        page.look(*image(wrong))
     result = evaluation.result()
     page.write(tmp_path / "page.html", [result.table(), result.kitti_table()])
     text = (tmp_path / "page.html").read_text()
@@ -96,23 +94,18 @@ def test_returns_are_drawn_where_they_are_with_the_error_of_their_own_pixel(tmp_
     assert errors[30, 50].max() < 120, "beyond the range nothing is judged"
 
 
-def sweep(name: str, labelled: list[int], moving: list[int], counted=None) -> JudgedSweep:
+def sweep(name: str, labelled: list[int], moving: list[int], unlabelled: tuple[int, ...] = ()):
     points = np.array([(10, 10, 0), (20, -20, 0), (-30, 5, 0), (40, 40, 0)], np.float32)
-    classid = np.full(4, 50, np.uint16)
-    classid[labelled] = 100
-    truth = np.zeros(4, bool)
-    truth[moving] = True
-    return JudgedSweep(
-        name, points, classid, truth, np.ones(4, bool) if counted is None else counted
-    )
+    classid, labels = np.full(4, 50, np.uint16), np.full(4, 40, np.uint32)
+    classid[labelled], labels[moving], labels[list(unlabelled)] = 100, 252, 0
+    return name, points, classid, labels
 
 
 def test_labels_from_above_show_what_was_missed_and_false_alarms(tmp_path) -> None:
     page = LabelPage("labels")
-    page.look(sweep("good", [0], [0]))
-    page.look(sweep("bad", [0, 2], [0, 1]))
-    unlabelled = np.array([True, True, True, False])
-    page.look(sweep("unlabelled", [3], [], unlabelled))
+    page.look(*sweep("good", [0], [0]))
+    page.look(*sweep("bad", [0, 2], [0, 1]))
+    page.look(*sweep("unlabelled", [3], [], (3,)))
     page.write(tmp_path / "page.html", [LabelEvaluation().result().table()])
     text = (tmp_path / "page.html").read_text()
     captions = captions_of(text)

@@ -169,7 +169,7 @@ def test_regions_equal_a_plain_loop() -> None:
     has, hit = ~np.isnan(predicted), ~np.isnan(truth)
     assert result.density == pytest.approx(100 * has.mean())
     assert result.density_on_surfaces == pytest.approx(100 * (has & hit).sum() / hit.sum())
-    assert sum(row.errors.pixels for row in result.by_range) == result.all.pixels
+    assert sum(row.figures.pixels for row in result.by_range) == result.all.pixels
     compared = has & hit & (truth <= 80)
     kitti = DepthErrors.of(truth[compared], predicted[compared])
     assert result.kitti == kitti

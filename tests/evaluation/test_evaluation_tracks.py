@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -13,8 +13,8 @@ from scipy.optimize import linear_sum_assignment
 from command_line import cli
 from docdepth.errors import InputError
 from docdepth.evaluation import TrackEvaluation
-from docdepth.evaluation.track_errors import PathErrors, box_errors, offset_of
 from docdepth.evaluation.track_overlaps import Overlaps, over_drive, track_scores
+from docdepth.evaluation.tracks import MatchedBox, box_errors, normalised_error
 from docdepth.geometry.track import Track
 
 pytest.importorskip("motrics")
@@ -169,7 +169,7 @@ def test_errors_of_boxes_are_along_and_across_their_heading_and_upward():
     poses[:, 2, 3] = -0.3
     made = replace(level, poses=poses)
     found = box_errors(true, made, 200_000_000, np.eye(4), np.eye(4))
-    assert found == pytest.approx((0.5, 0.2, 0.3, 10.0, 0.5))
+    assert found == pytest.approx((-0.5, -0.2, -0.3, 10.0, 0.5))
     # Poses of the run that are shifted and turned move its boxes with them: no error.
     moved = np.eye(4)
     moved[:2, :2], moved[:2, 3] = [(0.6, -0.8), (0.8, 0.6)], (7.0, -3.0)
@@ -189,49 +189,45 @@ def test_errors_by_kind():
         groups = points((label(CAR, 1), 5, 20), (label(PERSON, 2), 6, 20))
         evaluation.add(*groups, time=100_000_000 * k)
     kinds = evaluation.result().kinds
-    assert kinds["vehicle"].errors["along"] == pytest.approx((0.3, 0.3))
-    assert kinds["vehicle"].errors["across"] == pytest.approx((0.0, 0.0))
-    assert kinds["person"].errors["across"] == pytest.approx((0.4, 0.4))
-    assert kinds["all"].errors["along"] == pytest.approx((0.15, 0.3))
+    assert astuple(kinds["vehicle"].errors["along"]) == pytest.approx((0.3, 0.3))
+    assert astuple(kinds["vehicle"].errors["across"]) == pytest.approx((0.0, 0.0))
+    assert astuple(kinds["person"].errors["across"]) == pytest.approx((0.4, 0.4))
+    assert astuple(kinds["all"].errors["along"]) == pytest.approx((0.15, 0.3))
     assert (kinds["vehicle"].kind_right, kinds["person"].kind_right) == (100.0, 0.0)
     assert kinds["all"].boxes == 10
 
 
+def boxes_of(true, offsets, deviations):
+    """Boxes of one track, whose offsets along and across are given."""
+    pairs = zip(offsets, deviations, strict=True)
+    return [MatchedBox("vehicle", true, true + 5, tuple(offset), d, True) for offset, d in pairs]
+
+
 def test_errors_of_a_path_are_divided_by_what_the_track_states():
     """The offset that all boxes share is taken away: nobody saw how long the object is."""
-    paths = PathErrors()
-    assert np.isnan(paths.normalised(("vehicle",)))
-    for along, across in ((1.3, 0.0), (0.7, 0.1), (1.0, -0.1)):
-        paths.add("vehicle", 1, 5, np.array([along, across]), 0.2)
+    assert np.isnan(normalised_error([]))
+    first = boxes_of(1, ((1.3, 0.0), (0.7, 0.1), (1.0, -0.1)), [0.2] * 3)
     # Squares 0.09 + 0.09 and 0.01 + 0.01, over 0.2 squared and two boxes more than one mean.
     expected = np.sqrt(0.20 / 0.04 / 2)
-    assert paths.normalised(("vehicle",)) == pytest.approx(expected)
+    assert normalised_error(first) == pytest.approx(expected)
     # A box that is known ten times as well holds the mean; one box alone says nothing.
-    paths.add("person", 2, 6, np.array([0.0, 0.0]), 0.01)
-    assert np.isnan(paths.normalised(("person",)))
-    paths.add("person", 2, 6, np.array([0.2, 0.0]), 0.1)
+    second = boxes_of(2, ((0.0, 0.0), (0.2, 0.0)), (0.01, 0.1))
+    assert np.isnan(normalised_error(second[:1]))
     mean = 0.2 * 100 / (100 + 10000)
-    of_person = (mean / 0.01) ** 2 + ((0.2 - mean) / 0.1) ** 2
-    assert paths.normalised(("person",)) == pytest.approx(np.sqrt(of_person))
-    both = np.sqrt((2 * expected**2 + of_person) / 3)
-    assert paths.normalised(("person", "vehicle")) == pytest.approx(both)
+    of_second = (mean / 0.01) ** 2 + ((0.2 - mean) / 0.1) ** 2
+    assert normalised_error(second) == pytest.approx(np.sqrt(of_second))
+    both = np.sqrt((2 * expected**2 + of_second) / 3)
+    assert normalised_error(first + second) == pytest.approx(both)
 
 
 def test_normalised_errors_of_honest_tracks_are_one():
     """Random paths, each with deviations of its own, and an offset that is not to count."""
-    random, paths = np.random.default_rng(0), PathErrors()
+    random, boxes = np.random.default_rng(0), []
     for number in range(200):
         deviation, shift = random.uniform(0.02, 0.5), random.normal(0, 2, 2)
-        for _ in range(20):
-            offset = shift + random.normal(0, deviation / np.sqrt(2), 2)
-            paths.add("vehicle", number, number, offset, deviation)
-    assert paths.normalised(("vehicle",)) == pytest.approx(1, abs=0.03)
-
-
-def test_the_offset_of_a_box_has_signs():
-    true, made = track(1, "vehicle"), track(2, "vehicle", (0.2, -0.5))
-    offset = offset_of(true, made, 200_000_000, np.eye(4), np.eye(4))
-    assert offset == pytest.approx([-0.5, -0.2])
+        offsets = shift + random.normal(0, deviation / np.sqrt(2), (20, 2))
+        boxes += boxes_of(number, offsets, [deviation] * 20)
+    assert normalised_error(boxes) == pytest.approx(1, abs=0.03)
 
 
 def test_a_drive_without_objects_or_instances_has_figures_that_json_can_hold():

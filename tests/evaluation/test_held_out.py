@@ -49,7 +49,7 @@ def test_most_returns_agree_with_the_other_sweeps(finished):
     assert result.all.density > 90
     assert result.all.too_near + result.all.too_far < 6
     assert result.static.pixels + result.dynamic.pixels == result.all.pixels
-    assert sum(r.errors.pixels for r in result.by_range) == result.all.pixels
+    assert sum(r.figures.pixels for r in result.by_range) == result.all.pixels
 
 
 def test_a_held_out_sweep_is_not_drawn(finished, run):

@@ -82,12 +82,12 @@ def test_depth_figures_by_range_and_density(finished, pairs) -> None:
     for row in result.by_range:
         inside = (d > row.near) & (d <= row.far)
         both = inside & ~np.isnan(p)
-        assert (row.errors.pixels, row.errors.compared) == (inside.sum(), both.sum())
-        assert row.errors.mae == pytest.approx(metrics.mean_absolute_error(d[both], p[both]))
+        assert (row.figures.pixels, row.figures.compared) == (inside.sum(), both.sum())
+        assert row.figures.mae == pytest.approx(metrics.mean_absolute_error(d[both], p[both]))
         mse = metrics.mean_squared_error(d[both], p[both])
-        assert row.errors.rmse == pytest.approx(math.sqrt(mse))
-        assert row.errors.too_near == pytest.approx(100 * np.mean(p[both] < 0.95 * d[both]))
-        assert row.errors.too_far == pytest.approx(100 * np.mean(p[both] > 1.05 * d[both]))
+        assert row.figures.rmse == pytest.approx(math.sqrt(mse))
+        assert row.figures.too_near == pytest.approx(100 * np.mean(p[both] < 0.95 * d[both]))
+        assert row.figures.too_far == pytest.approx(100 * np.mean(p[both] > 1.05 * d[both]))
 
 
 def same_shares(counts, true, said) -> None:
@@ -147,5 +147,5 @@ def test_label_figures_are_those_of_scikit_learn(finished, drive) -> None:
     assert result.objects_found == sum(dynamic[rows].mean() >= 0.5 for rows in objects)
     for row in result.by_range:
         inside = now & (ranges >= row.near) & (ranges < row.far)
-        assert abs(row.counts.static - (inside & ~moves).sum()) <= 0.001 * inside.sum() + 1
-        assert row.counts.dynamic == pytest.approx((inside & moves).sum(), abs=1)
+        assert abs(row.figures.static - (inside & ~moves).sum()) <= 0.001 * inside.sum() + 1
+        assert row.figures.dynamic == pytest.approx((inside & moves).sum(), abs=1)

@@ -16,24 +16,16 @@ def test_nearest_neighbors_equal_brute_force(dtype, away) -> None:
     points = (away + random.uniform(-20, 20, (700, 3))).astype(dtype)
     others = away + random.uniform(-20, 20, (300, 3))
     queries = np.vstack([points[::7], others]).astype(dtype)
-    index, distance = nearest_neighbors(points, queries, 3.0)
+    index, distance = nearest_neighbors(points, queries)
     pairs = np.linalg.norm(queries[:, None].astype(float) - points[None].astype(float), axis=2)
-    near = pairs.min(axis=1) <= 3.0
-    assert 0 < near.sum() < len(queries)
-    np.testing.assert_array_equal(np.isfinite(distance), near)
-    np.testing.assert_allclose(distance[near], pairs.min(axis=1)[near], rtol=1e-12, atol=1e-12)
-    np.testing.assert_array_equal(index[near], pairs.argmin(axis=1)[near])
-
-
-def test_a_neighbour_at_the_maximum_distance_counts() -> None:
-    points, queries = np.zeros((1, 3)), np.array([(0.5, 0.0, 0.0), (0.0, 0.5000001, 0.0)])
-    assert nearest_neighbors(points, queries, 0.5)[1].tolist() == [0.5, np.inf]
+    np.testing.assert_allclose(distance, pairs.min(axis=1), rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(index, pairs.argmin(axis=1))
 
 
 def test_without_points_or_queries_there_are_no_neighbours() -> None:
     none, one = np.empty((0, 3), np.float32), np.ones((1, 3), np.float32)
-    assert np.isinf(nearest_neighbors(none, one, 1.0)[1]).all()
-    assert len(nearest_neighbors(one, none, 1.0)[0]) == 0
+    assert np.isinf(nearest_neighbors(none, one)[1]).all()
+    assert len(nearest_neighbors(one, none)[0]) == 0
 
 
 def test_distance_of_large_clouds_is_told_by_some_of_their_points() -> None:

@@ -7,16 +7,23 @@ Errors by region (interior, moving objects) and by range are over the pixels of 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
-from docdepth.evaluation.depth_metrics import DepthErrors, PixelSums, RegionErrors, Values
+from docdepth.evaluation.depth_metrics import (
+    RANGE_BINS,
+    DepthErrors,
+    PixelSums,
+    RegionErrors,
+)
 from docdepth.evaluation.nearest import cloud_distance
 from docdepth.evaluation.pixels import (
     EDGE_MARGIN,
@@ -25,16 +32,10 @@ from docdepth.evaluation.pixels import (
     edge_distance,
     fill_background,
     points_of,
-    shifted,
 )
-from docdepth.evaluation.tables import Table, number, percent, plain, ratio
+from docdepth.evaluation.tables import Band, Figures, Table, number, percent, ratio
 
 Mode = Literal["valid", "kitti"]
-
-_HEAD = ("protocol", "poses", "images", "max_range", "density", "density_on_surfaces")
-
-# Ranges that are reported apart [m].
-RANGE_BINS = (0.0, 10.0, 20.0, 30.0, 50.0, 80.0)
 
 EDGE_BINS = (-math.inf, 1.0, 3.0, 10.0, math.inf)
 """Distances to the next depth edge of the truth that are reported apart [pixels]."""
@@ -57,20 +58,7 @@ KITTI_NOTE = (
 
 
 @dataclass(frozen=True)
-class RangeErrors:
-    """Errors of the pixels with ``near < true depth <= far`` [m]."""
-
-    near: float
-    far: float
-    errors: RegionErrors
-
-    def as_dict(self) -> dict[str, float]:
-        """Borders and errors by name."""
-        return {"near": max(self.near, 0), "far": self.far, **self.errors.as_dict()}
-
-
-@dataclass(frozen=True)
-class DepthResult:
+class DepthResult(Figures):
     """Metrics of a set of depth maps.
 
     Attributes
@@ -98,13 +86,15 @@ class DepthResult:
         Distance between the points of true and of predicted depth, from each to the nearest of the
         other cloud, both ways, over the compared pixels of an image [m]; NaN without camera
         matrices.
-    by_range : tuple of RangeErrors
-    by_edge_distance : tuple of RangeErrors
-        Pixels with ``near < distance to the next depth edge <= far`` [pixels].
+    by_range : tuple of Band
+        Pixels with ``near < true depth <= far`` [m].
+    by_edge_distance : tuple of Band
+        Pixels with ``near < distance to the next depth edge <= far`` [pixels], the first with those
+        on an edge.
     regions : dict of str to RegionErrors
         Further regions by name, as they were given.
-    equal_pixels : tuple of two RegionErrors, optional
-        Of these maps and of those of another method, over the pixels that both fill.
+    equal_pixels : dict of str to RegionErrors, optional
+        ``these`` maps and the ``other`` method's, over the pixels that both fill.
     """
 
     protocol: str
@@ -114,63 +104,36 @@ class DepthResult:
     density: float
     density_on_surfaces: float
     kitti: DepthErrors
+    point_to_point: float
     all: RegionErrors
     interior: RegionErrors
-    dynamic: RegionErrors | None = None
-    dynamic_interior: RegionErrors | None = None
-    point_to_point: float = math.nan
-    by_range: tuple[RangeErrors, ...] = field(default=())
-    by_edge_distance: tuple[RangeErrors, ...] = field(default=())
-    regions: Mapping[str, RegionErrors] = field(default_factory=dict)
-    equal_pixels: tuple[RegionErrors, RegionErrors] | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """All metrics by name, ready for JSON; None replaces NaN."""
-        result: dict[str, Any] = {
-            **{name: getattr(self, name) for name in _HEAD},
-            **asdict(self.kitti),
-            "point_to_point": self.point_to_point,
-            "all": self.all.as_dict(),
-            "interior": self.interior.as_dict(),
-        }
-        if self.dynamic is not None and self.dynamic_interior is not None:
-            result["dynamic"] = self.dynamic.as_dict()
-            result["dynamic_interior"] = self.dynamic_interior.as_dict()
-        for name in ("by_range", "by_edge_distance"):
-            result[name] = [row.as_dict() for row in getattr(self, name)]
-        result["regions"] = {name: errors.as_dict() for name, errors in self.regions.items()}
-        if self.equal_pixels is not None:
-            names = ("these", "other")
-            pair = zip(names, self.equal_pixels, strict=True)
-            result["equal_pixels"] = {name: errors.as_dict() for name, errors in pair}
-        return dict(plain(result))
+    dynamic: RegionErrors | None
+    dynamic_interior: RegionErrors | None
+    by_range: tuple[Band[RegionErrors], ...]
+    by_edge_distance: tuple[Band[RegionErrors], ...]
+    regions: dict[str, RegionErrors]
+    equal_pixels: dict[str, RegionErrors] | None
+    flat = ("kitti",)
 
     def table(self) -> Table:
         """Errors by region and range, one row each."""
-        rows = [("all", *self.all.cells()), ("interior", *self.interior.cells())]
-        if self.dynamic is not None and self.dynamic_interior is not None:
-            rows.append(("moving objects", *self.dynamic.cells()))
-            rows.append(("their interior", *self.dynamic_interior.cells()))
-        for row in self.by_range:
-            rows.append((f"{row.near:g}..{row.far:g} m", *row.errors.cells()))
-        for row in self.by_edge_distance:
-            near = max(row.near, 0)
-            far = f"more than {near:g}" if math.isinf(row.far) else f"{near:g}..{row.far:g}"
-            rows.append((f"{far} px from an edge", *row.errors.cells()))
-        rows += [(name, *errors.cells()) for name, errors in self.regions.items() if errors.pixels]
-        if self.equal_pixels is not None:
-            names = ("pixels of both: this run", "pixels of both: other")
-            rows += [
-                (name, *errors.cells())
-                for name, errors in zip(names, self.equal_pixels, strict=True)
-            ]
+        rows: dict[str, RegionErrors | None] = {"all": self.all, "interior": self.interior}
+        rows |= {"moving objects": self.dynamic, "their interior": self.dynamic_interior}
+        rows |= {f"{band} m": band.figures for band in self.by_range}
+        for band in self.by_edge_distance:
+            far = f"more than {band.near:g}" if math.isinf(band.far) else str(band)
+            rows[f"{far} px from an edge"] = band.figures
+        rows |= {name: errors for name, errors in self.regions.items() if errors.pixels}
+        for name, whose in (("these", "this run"), ("other", "other")):
+            rows[f"pixels of both: {whose}"] = (self.equal_pixels or {}).get(name)
         title = (
             f"depth: {self.protocol}; poses: {self.poses}; {self.images} images, "
             f"density {number(self.density, 1)} % ({number(self.density_on_surfaces, 1)} % "
             "of the pixels with a true depth)"
         )
         header = ("region", "pixels", "density %", "MAE m", "RMSE m", "MAE in shifts")
-        return Table(title, (*header, "too near %", "too far %"), tuple(rows), NOTE)
+        cells = ((name, *errors.cells()) for name, errors in rows.items() if errors is not None)
+        return Table(title, (*header, "too near %", "too far %"), tuple(cells), NOTE)
 
     def kitti_table(self) -> Table:
         """KITTI's metrics, one row each."""
@@ -200,8 +163,6 @@ class DepthEvaluation:
         Pixels with a larger true depth are not compared [m].
     poses : str
         Source of the poses; printed with the metrics.
-    range_bins : sequence of float
-        Borders of the depth ranges that are reported apart [m].
 
     Raises
     ------
@@ -210,23 +171,19 @@ class DepthEvaluation:
     """
 
     def __init__(
-        self,
-        mode: Mode = "valid",
-        max_range: float = 80.0,
-        poses: str = "not stated",
-        range_bins: Sequence[float] = RANGE_BINS,
+        self, mode: Mode = "valid", max_range: float = 80.0, poses: str = "not stated"
     ) -> None:
         if mode not in ("valid", "kitti"):
             raise InputError(f"unknown mode {mode!r}; there are 'valid' and 'kitti'")
         self._mode, self._max_range, self._poses = mode, max_range, poses
-        self._bins = [b for b in range_bins if b < max_range] + [max_range]
         self._images: list[DepthErrors] = []
-        self._sums = PixelSums(self._bins)
-        self._pixels = self._with_depth = self._surfaces = self._on_surfaces = 0
+        self._sums = PixelSums(max_range, RANGE_BINS)
+        self._edges = {border: PixelSums(max_range) for border in pairwise(EDGE_BINS)}
+        self._regions = defaultdict[str, PixelSums](partial(PixelSums, max_range))
+        self._equal = defaultdict[str, PixelSums](partial(PixelSums, max_range))
+        # Pixels, those with depth, those with true depth, and those with both.
+        self._counts = np.zeros(4, np.int64)
         self._distance, self._distances = 0.0, 0
-        self._edges = [PixelSums([0.0, max_range]) for _ in EDGE_BINS[1:]]
-        self._regions: dict[str, PixelSums] = {}
-        self._equal: tuple[PixelSums, PixelSums] | None = None
         self._with_dynamic = False
 
     def add(
@@ -265,8 +222,17 @@ class DepthEvaluation:
         """
         predicted, truth = _depth("predicted", predicted), _depth("true", truth)
         other = None if other is None else _depth("other", other)
-        _check_sizes(predicted, truth, dynamic, other, regions or {})
-        self._count(predicted, truth)
+        regions = regions or {}
+        given = {"predicted depth": predicted, "other depth": other, "moving objects": dynamic}
+        for name, image in (given | dict(regions)).items():
+            if image is not None and image.shape != truth.shape:
+                raise InputError(
+                    f"{name} {image.shape} and true depth {truth.shape} must have one size; was "
+                    "one made for another camera?"
+                )
+        known, surface = ~np.isnan(predicted), ~np.isnan(truth)
+        counted = (known, surface, known & surface)
+        self._counts += np.array([truth.size, *map(np.count_nonzero, counted)])
         if self._mode == "kitti":
             predicted = fill_background(predicted)
             other = None if other is None else fill_background(other)
@@ -278,21 +244,19 @@ class DepthEvaluation:
         self._with_dynamic |= dynamic is not None
         moving = np.zeros(truth.shape, bool) if dynamic is None else np.asarray(dynamic, bool)
         to_edge = edge_distance(truth).ravel()[selected]
-        pixels = (
-            error,
-            d,
-            np.abs(shifted(truth).ravel()[selected] - d),
-            to_edge > EDGE_MARGIN,
-            moving.ravel()[selected],
-        )
+        shifted = np.pad(truth[:, :-1], ((0, 0), (1, 0)), constant_values=np.nan)
+        shift = np.abs(shifted.ravel()[selected] - d)
+        pixels = (error, d, shift, to_edge > EDGE_MARGIN, moving.ravel()[selected])
         self._sums.add(*pixels)
-        for (near, far), sums in zip(pairwise(EDGE_BINS), self._edges, strict=True):
-            _add(sums, (to_edge > near) & (to_edge <= far), pixels)
-        for name, region in (regions or {}).items():
-            sums = self._regions.setdefault(name, PixelSums([0.0, self._max_range]))
-            _add(sums, region.ravel()[selected], pixels)
+        for (near, far), sums in self._edges.items():
+            sums.add(*pixels, among=(to_edge > near) & (to_edge <= far))
+        for name, region in regions.items():
+            self._regions[name].add(*pixels, among=region.ravel()[selected])
         if other is not None:
-            self._add_equal(other.ravel()[selected] - d, pixels)
+            its_error = other.ravel()[selected] - d
+            both = ~np.isnan(its_error) & ~np.isnan(error)
+            self._equal["these"].add(*pixels, among=both)
+            self._equal["other"].add(its_error, *pixels[1:], among=both)
         known = ~np.isnan(error)
         if K is not None:
             compared = selected[known]
@@ -304,78 +268,31 @@ class DepthEvaluation:
         self._images.append(errors)
         return errors
 
-    def _count(self, predicted: Depth, truth: Depth) -> None:
-        """Count pixels for the densities."""
-        surface, has_depth = ~np.isnan(truth), ~np.isnan(predicted)
-        self._pixels += truth.size
-        self._with_depth += int(np.count_nonzero(has_depth))
-        self._surfaces += int(np.count_nonzero(surface))
-        self._on_surfaces += int(np.count_nonzero(has_depth & surface))
-
-    def _add_equal(self, error: Values, pixels: tuple[Any, ...]) -> None:
-        """Add the pixels that both methods fill; ``error`` is that of the other one."""
-        if self._equal is None:
-            self._equal = PixelSums([0.0, self._max_range]), PixelSums([0.0, self._max_range])
-        both = ~np.isnan(error) & ~np.isnan(pixels[0])
-        _add(self._equal[0], both, pixels)
-        _add(self._equal[1], both, (error, *pixels[1:]))
-
     def result(self) -> DepthResult:
         """Metrics of all images added so far."""
         filled = "empty pixels filled as in KITTI's kit"
         compared = filled if self._mode == "kitti" else "pixels with depth"
+        errors, with_dynamic = self._sums.errors, self._with_dynamic
+        pixels, with_depth, surfaces, both = self._counts.tolist()
         return DepthResult(
             protocol=f"{compared}, truth up to {self._max_range:g} m",
             poses=self._poses,
             images=len(self._images),
             max_range=self._max_range,
-            density=percent(self._with_depth, self._pixels),
-            density_on_surfaces=percent(self._on_surfaces, self._surfaces),
+            density=percent(with_depth, pixels),
+            density_on_surfaces=percent(both, surfaces),
             kitti=DepthErrors.mean(self._images),
-            all=self._sums.errors(),
-            interior=self._sums.errors(interior=1),
-            dynamic=self._sums.errors(dynamic=1) if self._with_dynamic else None,
-            dynamic_interior=(
-                self._sums.errors(interior=1, dynamic=1) if self._with_dynamic else None
-            ),
             point_to_point=ratio(self._distance, self._distances),
-            by_range=tuple(
-                RangeErrors(near, far, self._sums.errors(ranges=k))
-                for k, (near, far) in enumerate(pairwise(self._bins))
-            ),
+            all=errors(),
+            interior=errors(interior=1),
+            dynamic=errors(dynamic=1) if with_dynamic else None,
+            dynamic_interior=errors(interior=1, dynamic=1) if with_dynamic else None,
+            by_range=self._sums.by_range(),
             by_edge_distance=tuple(
-                RangeErrors(near, far, sums.errors())
-                for (near, far), sums in zip(pairwise(EDGE_BINS), self._edges, strict=True)
+                Band(max(near, 0), far, sums.errors()) for (near, far), sums in self._edges.items()
             ),
             regions={name: sums.errors() for name, sums in self._regions.items()},
-            equal_pixels=(
-                None if self._equal is None else (self._equal[0].errors(), self._equal[1].errors())
-            ),
-        )
-
-
-def _add(sums: PixelSums, chosen: Mask, pixels: tuple[Any, ...]) -> None:
-    """Add some of the pixels."""
-    sums.add(*(column[chosen] for column in pixels))
-
-
-def _check_sizes(
-    predicted: Depth,
-    truth: Depth,
-    dynamic: Mask | None,
-    other: Depth | None,
-    regions: Mapping[str, Mask],
-) -> None:
-    masks = [] if dynamic is None else [dynamic]
-    if any(image.shape != truth.shape for image in (predicted, *masks, *regions.values())):
-        raise InputError(
-            f"predicted depth {predicted.shape}, true depth {truth.shape} and the mask of "
-            "moving objects must have one size; was the truth made for another camera?"
-        )
-    if other is not None and other.shape != truth.shape:
-        raise InputError(
-            f"the other depth {other.shape} and the true depth {truth.shape} must have one size; "
-            "was it made for another camera?"
+            equal_pixels={name: sums.errors() for name, sums in self._equal.items()} or None,
         )
 
 

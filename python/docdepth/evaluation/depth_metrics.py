@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.evaluation.pixels import Mask
-from docdepth.evaluation.tables import number, percent, ratio
+from docdepth.evaluation.tables import Band, Figures, number, percent, ratio
 
 # A pixel is too near or too far if its error exceeds this share of the true depth.
 RELATIVE_ERROR = 0.05
+# Ranges that are reported apart [m].
+RANGE_BINS = (0.0, 10.0, 20.0, 30.0, 50.0, 80.0)
 
 _ANY = slice(None)
 
@@ -22,7 +25,7 @@ Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class DepthErrors:
+class DepthErrors(Figures):
     """Mean errors, as defined by KITTI's development kit and in its units.
 
     Attributes
@@ -45,19 +48,19 @@ class DepthErrors:
         Share of pixels with ``max(d / p, p / d) < 1.25^k`` [%].
     """
 
-    mae: float = math.nan
-    rmse: float = math.nan
-    imae: float = math.nan
-    irmse: float = math.nan
-    log_mae: float = math.nan
-    log_rmse: float = math.nan
-    silog: float = math.nan
-    abs_rel: float = math.nan
-    sq_rel: float = math.nan
-    sq_rel_eigen: float = math.nan
-    delta1: float = math.nan
-    delta2: float = math.nan
-    delta3: float = math.nan
+    mae: float
+    rmse: float
+    imae: float
+    irmse: float
+    log_mae: float
+    log_rmse: float
+    silog: float
+    abs_rel: float
+    sq_rel: float
+    sq_rel_eigen: float
+    delta1: float
+    delta2: float
+    delta3: float
 
     @classmethod
     def of(
@@ -65,7 +68,7 @@ class DepthErrors:
     ) -> DepthErrors:
         """Errors over pixels, given as two arrays of positive depths [m], shape (k,)."""
         if not len(truth):
-            return cls()
+            return cls.mean([])
         d, p = truth.astype(np.float64), predicted.astype(np.float64)
         difference = np.abs(d - p)
         inverse = np.abs(1 / d - 1 / p)
@@ -93,12 +96,12 @@ class DepthErrors:
     @classmethod
     def mean(cls, errors: Sequence[DepthErrors]) -> DepthErrors:
         """Mean over images; images without a compared pixel are left out."""
-        rows = [tuple(asdict(e).values()) for e in errors if not math.isnan(e.mae)]
-        return cls(*(float(x) for x in np.mean(rows, axis=0))) if rows else cls()
+        rows = [tuple(vars(e).values()) for e in errors if not math.isnan(e.mae)]
+        return cls(*(np.mean(rows, axis=0).tolist() if rows else [math.nan] * len(fields(cls))))
 
 
 @dataclass(frozen=True)
-class RegionErrors:
+class RegionErrors(Figures):
     """Errors over the pixels of a region, over all images together.
 
     Attributes
@@ -123,15 +126,12 @@ class RegionErrors:
     shifts: float
     too_near: float
     too_far: float
+    derived = ("density",)
 
     @property
     def density(self) -> float:
         """Share of these pixels that have depth [%]."""
         return percent(self.compared, self.pixels)
-
-    def as_dict(self) -> dict[str, float]:
-        """Everything by name."""
-        return {**asdict(self), "density": self.density}
 
     def cells(self) -> list[str]:
         """The row of a table."""
@@ -148,20 +148,30 @@ class PixelSums:
 
     Parameters
     ----------
+    max_range : float
+        No true depth is larger [m].
     bins : sequence of float
-        Borders of the ranges [m]; every true depth must lie between the first and the last.
+        Borders of the ranges [m]; every depth lies beyond the first.
     """
 
-    def __init__(self, bins: Sequence[float]) -> None:
-        self._bins = bins
+    def __init__(self, max_range: float, bins: Sequence[float] = (0.0,)) -> None:
+        self._bins = [border for border in bins if border < max_range] + [max_range]
         # Number of pixels, compared, too near and too far; sums of |e| and e^2; and, over pixels
         # where both are known, sums of |e| and of the error of the shifted depth.
-        self._sums = np.zeros((8, len(bins) - 1, 2, 2))
+        self._sums = np.zeros((8, len(self._bins) - 1, 2, 2))
 
     def add(
-        self, error: Values, truth: Values, shift: Values, interior: Mask, dynamic: Mask
+        self,
+        error: Values,
+        truth: Values,
+        shift: Values,
+        interior: Mask,
+        dynamic: Mask,
+        among: Mask | slice = _ANY,
     ) -> None:
         """Add pixels of one image, shape (k,) each; ``error`` and ``shift`` may be NaN [m]."""
+        error, truth, shift = error[among], truth[among], shift[among]
+        interior, dynamic = interior[among], dynamic[among]
         range_bin = np.searchsorted(self._bins, truth, side="left") - 1
         cell = (2 * np.maximum(range_bin, 0) + interior) * 2 + dynamic
         compared = ~np.isnan(error)
@@ -179,8 +189,10 @@ class PixelSums:
         self, ranges: int | slice = _ANY, interior: int | slice = _ANY, dynamic: int | slice = _ANY
     ) -> RegionErrors:
         """Errors of a region: index of the range, interior and dynamic 0 or 1; default: all."""
-        sums = [float(table[ranges, interior, dynamic].sum()) for table in self._sums]
-        pixels, compared, near, far, absolute, squared, own, shift = sums
+        cells = self._sums[:, ranges, interior, dynamic]
+        pixels, compared, near, far, absolute, squared, own, shift = (
+            float(cell.sum()) for cell in cells
+        )
         return RegionErrors(
             pixels=round(pixels),
             compared=round(compared),
@@ -190,3 +202,8 @@ class PixelSums:
             too_near=percent(near, compared),
             too_far=percent(far, compared),
         )
+
+    def by_range(self) -> tuple[Band[RegionErrors], ...]:
+        """Errors of each range."""
+        borders = enumerate(pairwise(self._bins))
+        return tuple(Band(near, far, self.errors(ranges=k)) for k, (near, far) in borders)

@@ -1,24 +1,36 @@
-"""True depth maps on disk: a folder of them, a drive of KITTI's depth completion, its selection."""
+"""True depth maps on disk, and the regions of their images whose errors are reported apart."""
 
 from __future__ import annotations
 
 import logging
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import DatasetError
+from docdepth.errors import DamagedFileError, DatasetError
+from docdepth.evaluation.label_counts import class_name, classes_of
+from docdepth.evaluation.pixels import Mask
+from docdepth.geometry.camera import below_horizon
+from docdepth.geometry.points import MOVING_LABELS
 from docdepth.io.depth import maps_in, read_depth
-from docdepth.io.npy import ArrayError, read_array
+from docdepth.io.npy import ArrayError, read_array, read_arrays
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.convert import INSIDE
 
 log = logging.getLogger(__name__)
 
+Part = tuple[slice, slice]
+_WHOLE: Part = (slice(None), slice(None))
+
 _SELECTION = "groundtruth_depth"
 """Folder of ``val_selection_cropped`` with maps of all drives and cameras."""
+
+
+CONFIDENCES = (0.5, 0.8, 0.95)
+"""Borders of the confidences that are reported apart."""
 
 
 class TrueDepth(NamedTuple):
@@ -32,12 +44,18 @@ class TrueDepth(NamedTuple):
         Camera matrix of both.
     part : tuple of two slices
         Rows and columns of the whole image that they show.
+    dynamic : ndarray of bool, shape (h, w), optional
+        Pixels of moving objects, where the truth tells.
+    regions : dict of str to ndarray of bool (h, w)
+        Pixels below the horizon, of a confidence if the run has that layer, of a true class.
     """
 
     made: NDArray[np.float32]
     true: NDArray[np.float32]
     K: NDArray[np.float64]
-    part: tuple[slice, slice]
+    part: Part
+    dynamic: Mask | None
+    regions: dict[str, Mask]
 
 
 class DepthTruth:
@@ -71,7 +89,9 @@ class DepthTruth:
                 f"make them: `docdepth.run(..., {str(run.path)!r})`",
                 code="no-maps",
             )
-        self._K = run.calibration(depth_folder)[0].K
+        calibration, T_camera_lidar, _ = run.calibration(depth_folder)
+        self._K, self._below = calibration.K, below_horizon(calibration, T_camera_lidar)
+        self._layers = run.path / "layers" / depth_folder
         self._intrinsics: str | None = None
         self.folder = folder
         if (folder / _SELECTION).is_dir():
@@ -86,41 +106,60 @@ class DepthTruth:
             self._truths = maps_in(self.folder)
         else:
             self._truths = maps_in(folder)
-        self.maps = self._with_truth(made)
-        self._classes = self.folder.parent / self.folder.name.replace("depth", "class")
-
-    def _with_truth(self, made: dict[str, Path]) -> dict[str, Path]:
-        """The maps that have a true one; the others are counted in a warning."""
-        found = {name: path for name, path in made.items() if name in self._truths}
-        if not found:
+        self.maps = {name: path for name, path in made.items() if name in self._truths}
+        if not self.maps:
             raise DatasetError(
                 f"{self.folder} has no depth map of the {len(made)} images of the run; is it of "
                 "this drive?"
             )
-        if len(found) < len(made):
+        if len(self.maps) < len(made):
             log.warning(
                 "%s has no depth map of %d of %d images; they are not compared",
-                self.folder, len(made) - len(found), len(made),
+                self.folder, len(made) - len(self.maps), len(made),
             )  # fmt: skip
-        return found
+        self._classes = self.folder.parent / self.folder.name.replace("depth", "class")
 
     def read(self, name: str) -> TrueDepth:
         """Made and true depth of an image; the made one is cropped where the truth is."""
         made, true = read_depth(self.maps[name]), read_depth(self._truths[name])
-        if self._intrinsics is None or made.shape == true.shape:
-            return TrueDepth(made, true, self._K, (slice(None), slice(None)))
-        left, top = self._corner(name, made.shape, true.shape)
-        height, width = true.shape
-        K = self._K.copy()
-        K[0, 2], K[1, 2] = K[0, 2] - left, K[1, 2] - top
-        part = slice(top, top + height), slice(left, left + width)
-        cropped = made[part]
-        if min(left, top) < 0 or cropped.shape != true.shape:
-            raise DatasetError(
-                f"{self._truths[name]} is no part of an image of {made.shape[1]} x {made.shape[0]} "
-                "pixels; is it of this drive and camera?"
+        K, part = self._K, _WHOLE
+        if self._intrinsics is not None and made.shape != true.shape:
+            left, top = self._corner(name, made.shape, true.shape)
+            height, width = true.shape
+            K = K.copy()
+            K[0, 2], K[1, 2] = K[0, 2] - left, K[1, 2] - top
+            part = slice(top, top + height), slice(left, left + width)
+            if min(left, top) < 0 or made[part].shape != true.shape:
+                raise DatasetError(
+                    f"{self._truths[name]} is no part of an image of {made.shape[1]} x "
+                    f"{made.shape[0]} pixels; is it of this drive and camera?"
+                )
+        regions = {"below the horizon": self._below[part], **self._by_confidence(name, part)}
+        file = self._classes / f"{name}.npy"
+        if self._classes == self.folder or not file.is_file():
+            return TrueDepth(made[part], true, K, part, None, regions)
+        labels = array_of(file).astype(np.uint32)
+        classes = classes_of(labels.ravel()).reshape(labels.shape)
+        regions |= {class_name(number): classes == number for number in np.unique(classes).tolist()}
+        dynamic = np.isin(classes, MOVING_LABELS)
+        return TrueDepth(made[part], true, K, part, dynamic, regions)
+
+    def _by_confidence(self, name: str, part: Part) -> dict[str, Mask]:
+        """Pixels between two confidences, if the run has that layer of the image."""
+        file = self._layers / f"{name}.npz"
+        try:
+            layer = read_arrays(file).get("confidence") if file.is_file() else None
+        except (OSError, ArrayError) as error:
+            raise DamagedFileError(file, str(error)) from None
+        if layer is None:
+            return {}
+        confidence, names = layer[part], ("less", *(f"{border:g}" for border in CONFIDENCES), "1")
+        return {
+            f"confidence {names[k]}{' to' if k else ' than'} {names[k + 1]}": np.asarray(
+                (confidence >= low) & (confidence < high)
             )
-        return TrueDepth(cropped, true, K, part)
+            for k, (low, high) in enumerate(pairwise((-np.inf, *CONFIDENCES, np.inf)))
+        }
 
     def _corner(self, name: str, made: tuple[int, ...], true: tuple[int, ...]) -> tuple[int, int]:
         """Column and row where the crop begins: by its intrinsics, else the lower middle."""
@@ -134,13 +173,6 @@ class DepthTruth:
                 f"{file} does not hold the nine numbers of a camera matrix"
             ) from None
         return round(self._K[0, 2] - values[0, 2]), round(self._K[1, 2] - values[1, 2])
-
-    def classes(self, name: str) -> NDArray[np.uint32] | None:
-        """SemanticKITTI class of each pixel (h, w), where the truth tells."""
-        file = self._classes / f"{name}.npy"
-        if self._classes == self.folder or not file.is_file():
-            return None
-        return np.asarray(array_of(file).astype(np.uint32) & np.uint32(0xFFFF))
 
 
 def array_of(path: Path) -> NDArray[Any]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import CameraStream
 from docdepth.evaluation.depth_metrics import RELATIVE_ERROR
 from docdepth.evaluation.held_out import JudgedView
-from docdepth.evaluation.runs import JudgedImage, JudgedSweep
+from docdepth.evaluation.label_counts import ignored, moving
 from docdepth.evaluation.tables import Table
 from docdepth.geometry.points import DYNAMIC, STATIC
 from docdepth.visualization.image_views import photo_of
@@ -147,7 +147,16 @@ class ErrorPage:
 
 
 class DepthPage(ErrorPage):
-    """A page of depth maps against true ones; its ``look`` takes each image."""
+    """A page of depth maps against true ones.
+
+    Parameters
+    ----------
+    title : str
+    max_range : float
+        Pixels with a larger true depth are not compared [m].
+    stream : CameraStream, optional
+        The camera, whose photos are shown beside.
+    """
 
     def __init__(self, title: str, max_range: float, stream: CameraStream | None) -> None:
         what = (
@@ -155,28 +164,27 @@ class DepthPage(ErrorPage):
             f"{max_range:g} m that has both is compared."
         )
         titles = {"error": "errors", "depth": "depth map", "truth": "true depth", "image": "image"}
-        super().__init__(title, what, titles, _depth_legends(""), _SHARE_WRONG)
+        super().__init__(title, what, titles, _depth_legends(), _SHARE_WRONG)
         self._max_range, self._stream = max_range, stream
 
-    def look(self, image: JudgedImage) -> None:
-        """Add an image."""
-        truth = np.where(image.truth <= self._max_range, image.truth, np.float32(np.nan))
-        score, caption = _wrong(image.depth, truth)
+    def look(self, name: str, depth: Depth, truth: Depth) -> None:
+        """Add an image: its name, the made depth and the true one, (h, w) [m]."""
+        near = np.where(truth <= self._max_range, truth, np.float32(np.nan))
+        score, caption = _wrong(depth, near)
 
         def pictures() -> dict[str, Picture]:
-            views = {
-                "error": _errors(image.depth, truth),
-                "depth": colorize(image.depth, bar=False),
-                "truth": colorize(_thick(image.truth), bar=False),
+            return {
+                "error": _errors(depth, near),
+                "depth": colorize(depth, bar=False),
+                "truth": colorize(_thick(truth), bar=False),
+                **_photo(self._stream, name),
             }
-            photo = photo_of(self._stream, image.name)
-            return views if photo is None else {**views, "image": photo}
 
-        self.add(image.name, score, f"image {image.name}: {caption}", pictures)
+        self.add(name, score, f"image {name}: {caption}", pictures)
 
 
 class HeldOutPage(ErrorPage):
-    """A page of depth maps against returns left out of them; its ``look`` takes each view.
+    """A page of depth maps against returns left out of them.
 
     Parameters
     ----------
@@ -204,13 +212,10 @@ class HeldOutPage(ErrorPage):
             f"as the LiDAR would see it. Each return up to {max_range:g} m is compared with its "
             "pixel."
         )
-        titles = {
-            "error": "errors at the returns",
-            "depth": "depth map",
-            "truth": "returns",
-            "image": "photo of that time",
-        }
-        legends = {**_depth_legends(_CLEAR), "image": _BESIDE}
+        titles = {"error": "errors at the returns", "depth": "depth map", "truth": "returns"}
+        titles["image"] = "photo of that time"
+        legends = {**_depth_legends(), "image": _BESIDE}
+        legends["error"] += _CLEAR
         super().__init__(title, what, titles, legends, _SHARE_WRONG, "views")
         self._max_range, self._stream, self._times = max_range, stream, times
 
@@ -227,24 +232,19 @@ class HeldOutPage(ErrorPage):
                 "depth": depth,
                 "truth": colorize(thick, bar=False),
             }
-            photo = self._photo(int(self._times[view.index]))
-            return views if photo is None else {**views, "image": photo}
+            stream = self._stream
+            if stream is not None and len(stream.times):
+                apart = np.abs(stream.times - self._times[view.index])
+                nearest = int(apart.argmin())
+                if apart[nearest] < _SOON:
+                    views |= _photo(stream, stream.names[nearest])
+            return views
 
         self.add(view.name, score, f"sweep {view.name}: {caption}", pictures)
 
-    def _photo(self, time: int) -> Picture | None:
-        """The photo nearest in time, if there is one at about that time."""
-        if self._stream is None or not len(self._stream.times):
-            return None
-        apart = np.abs(self._stream.times - time)
-        nearest = int(apart.argmin())
-        return (
-            photo_of(self._stream, self._stream.names[nearest]) if apart[nearest] < _SOON else None
-        )
-
 
 class LabelPage(ErrorPage):
-    """A page of labels against true ones; its ``look`` takes each sweep."""
+    """A page of labels against true ones."""
 
     def __init__(self, title: str) -> None:
         what = (
@@ -267,24 +267,29 @@ class LabelPage(ErrorPage):
         legends = {"above": legend + above, "range": legend + around}
         super().__init__(title, what, titles, legends, "Wrong points of each sweep", "sweeps")
 
-    def look(self, sweep: JudgedSweep) -> None:
-        """Add a sweep."""
-        classid = np.where(sweep.counted, sweep.classid, np.minimum(sweep.classid, STATIC))
-        classid = classid.astype(np.uint16)
-        truth, dynamic = sweep.truth & sweep.counted, classid >= DYNAMIC
+    def look(
+        self,
+        name: str,
+        points: NDArray[np.float32],
+        classid: NDArray[np.uint16],
+        labels: NDArray[np.uint32],
+    ) -> None:
+        """Add a sweep: name, points (N, 3) [m], their classes and true SemanticKITTI labels."""
+        classid = np.where(ignored(labels), np.minimum(classid, STATIC), classid).astype(np.uint16)
+        truth, dynamic = moving(labels), classid >= DYNAMIC
         missed, false = int((truth & ~dynamic).sum()), int((dynamic & ~truth).sum())
         caption = (
-            f"sweep {sweep.name}: {missed} of {int(truth.sum())} moving points missed, "
+            f"sweep {name}: {missed} of {int(truth.sum())} moving points missed, "
             f"{false} false alarms"
         )
 
         def pictures() -> dict[str, Picture]:
             return {
-                "above": _from_above(sweep.points, classid, truth),
-                "range": labels_in_range_image(sweep.points, classid, truth, row_height=6),
+                "above": _from_above(points, classid, truth),
+                "range": labels_in_range_image(points, classid, truth, row_height=6),
             }
 
-        self.add(sweep.name, float(missed + false), caption, pictures)
+        self.add(name, float(missed + false), caption, pictures)
 
 
 def _from_above(
@@ -310,7 +315,7 @@ _CLEAR = (
 )
 
 
-def _depth_legends(note: str) -> dict[str, str]:
+def _depth_legends() -> dict[str, str]:
     shares = np.linspace(-_LIMIT, _LIMIT, 21)[None] + 1
     colors = error_picture(shares, np.ones_like(shares), _LIMIT)[0]
     ticks = [(0.0, "10 % too near"), (0.5, "right"), (1.0, "10 % too far")]
@@ -322,7 +327,7 @@ def _depth_legends(note: str) -> dict[str, str]:
         colorize(np.geomspace(NEAR, FAR, 24)[None], bar=False)[0],
         [(np.log(tick / NEAR) / span, f"{tick} m") for tick in _TICKS],
     )
-    return {"error": scale(colors, ticks) + empty + note, "depth": depth, "truth": depth}
+    return {"error": scale(colors, ticks) + empty, "depth": depth, "truth": depth}
 
 
 def _errors(depth: Depth, truth: Depth) -> Picture:
@@ -363,3 +368,8 @@ def _at(truth: Depth, depth: Depth) -> Depth:
             moved = np.roll(truth, (down, right), (0, 1))
             result = np.where(moved == thick, np.roll(depth, (down, right), (0, 1)), result)
     return result
+
+
+def _photo(stream: CameraStream | None, name: str) -> dict[str, Picture]:
+    photo = photo_of(stream, name)
+    return {} if photo is None else {"image": photo}

@@ -9,9 +9,8 @@ errors that all sweeps share.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +19,12 @@ from numpy.typing import NDArray
 
 from docdepth.concurrency import Progress
 from docdepth.errors import InputError
-from docdepth.evaluation.depth import ERRORS, RANGE_BINS, RangeErrors
-from docdepth.evaluation.depth_metrics import PixelSums, RegionErrors
+from docdepth.evaluation.depth import ERRORS
+from docdepth.evaluation.depth_metrics import RANGE_BINS, PixelSums, RegionErrors
 from docdepth.evaluation.left_out import LeftOut, Neighbour
 from docdepth.evaluation.nearest import cloud_distance
 from docdepth.evaluation.pixels import points_of, project
-from docdepth.evaluation.tables import Table, number, plain, ratio
+from docdepth.evaluation.tables import Band, Figures, Table, number, ratio
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
@@ -40,7 +39,7 @@ from docdepth.render.view import View
 
 
 @dataclass(frozen=True)
-class HeldOutResult:
+class HeldOutResult(Figures):
     """Metrics over the returns that were left out.
 
     Attributes
@@ -52,7 +51,8 @@ class HeldOutResult:
     all, static, dynamic : RegionErrors
         All returns, and those that the run itself classified as static or dynamic. ``shifts`` is
         NaN: returns are too sparse for a map that is moved by a pixel.
-    by_range : tuple of RangeErrors
+    by_range : tuple of Band
+        Returns with ``near < depth <= far`` [m].
     clear : RegionErrors
         Returns of which it is clear what their pixel shows: none beside a depth edge of its own
         sweep, and where a whole LiDAR was left out, none that the others could not see.
@@ -76,50 +76,43 @@ class HeldOutResult:
     static: RegionErrors
     dynamic: RegionErrors
     clear: RegionErrors
-    by_range: tuple[RangeErrors, ...]
-    point_to_point: float = math.nan
-    clear_point_to_point: float = math.nan
-    left_out: str = "held-out sweeps"
+    by_range: tuple[Band[RegionErrors], ...]
+    point_to_point: float
+    clear_point_to_point: float
+    left_out: str
     found: tuple[str, ...] = ()
     camera_mae: float = math.nan
     camera_wrong: float = math.nan
 
     def as_dict(self) -> dict[str, Any]:
         """All metrics by name, ready for JSON; None replaces NaN."""
-        regions = {name: getattr(self, name).as_dict() for name in _REGIONS}
-        regions["all"]["point_to_point"] = self.point_to_point
-        regions["clear"]["point_to_point"] = self.clear_point_to_point
-        ranges = [r.as_dict() for r in self.by_range]
-        head = {"sweeps": self.sweeps, "max_range": self.max_range, "left_out": self.left_out}
-        camera = {"camera": {"mae": self.camera_mae, "wrong": self.camera_wrong}}
-        return dict(plain({**head, **regions, **camera, "by_range": ranges, "found": self.found}))
+        result = super().as_dict()
+        result["all"]["point_to_point"] = result.pop("point_to_point")
+        result["clear"]["point_to_point"] = result.pop("clear_point_to_point")
+        result["camera"] = {name: result.pop(f"camera_{name}") for name in ("mae", "wrong")}
+        return result
 
     def table(self) -> Table:
         """Errors by class and range, one row each."""
-        rows = [(name, getattr(self, name)) for name in _REGIONS]
-        rows += [(f"{r.near:g}..{r.far:g} m", r.errors) for r in self.by_range]
+        rows = {name: getattr(self, name) for name in ("all", "static", "dynamic", "clear")}
+        rows |= {f"{band} m": band.figures for band in self.by_range}
         header = ("returns", "number", "density %", "MAE m", "RMSE m", "too near %", "too far %")
         distances = {"all": self.point_to_point, "clear": self.clear_point_to_point}
-        cells = [
-            (*_cells(name, errors), number(distances.get(name, math.nan), 3))
-            for name, errors in rows
-        ]
+        cells = []
+        for name, errors in rows.items():
+            *figures, _, near, far = errors.cells()  # without the column of shifts
+            distance = number(distances.get(name, math.nan), 3)
+            cells.append((name, *figures, near, far, distance))
         title = f"depth against {self.sweeps} {self.left_out}, returns up to {self.max_range:g} m"
         note = ERRORS.replace("these pixels that", "the returns whose pixels") + _NOTE
         return Table(title, (*header, "point to point m"), tuple(cells), note)
 
 
-_REGIONS = ("all", "static", "dynamic", "clear")
 _NOTE = (
     "; point to point: from each return to the nearest point of the depth map, and back; clear: "
     "without returns beside a depth edge of their sweep, whose pixel may show either side, and, if "
     "a LiDAR was left out, without those that no other LiDAR saw at that time"
 )
-
-
-def _cells(name: str, errors: RegionErrors) -> tuple[str, ...]:
-    """A row without the column of shifts."""
-    return (name, *errors.cells()[:4], *errors.cells()[5:])
 
 
 @dataclass(frozen=True)
@@ -204,62 +197,41 @@ def evaluate_held_out(
             "that one between the first and the last can be left out"
         )
     judged = range(1 + (min(every, count - 2) - 1) // 2, count - 1, every)
-    sums = _Sums(max_range)
-    views = _HeldOutViews(folder, camera, threads, left_out or LeftOut())
+    sums, left_out = PixelSums(max_range, RANGE_BINS), left_out or LeftOut()
+    distances = np.zeros((2, 2))  # sum and number, of all and of clear returns
+    views = _HeldOutViews(folder, camera, threads, left_out)
     for done, index in enumerate(judged):
         view = views.view(index)
-        sums.add(view, views.camera.K)
+        with np.errstate(invalid="ignore"):
+            compared = view.truth <= max_range  # false for pixels without a return
+        truth = view.truth[compared].astype(np.float64)
+        unknown = np.full(len(truth), np.nan)  # no shifted depth map
+        moving = view.classid[compared] >= DYNAMIC
+        sums.add(view.depth[compared] - truth, truth, unknown, view.clear[compared], moving)
+        both = compared & ~np.isnan(view.depth)
+        for row, chosen in enumerate((both, both & view.clear)):
+            pixels = np.flatnonzero(chosen)
+            clouds = (
+                points_of(views.camera.K, depth, pixels) for depth in (view.truth, view.depth)
+            )
+            distances[row] += cloud_distance(*clouds)
         if look:
             look(view)
         if progress:
             progress("held out", done + 1, len(judged))
-    return sums.result(str(left_out or LeftOut()))
-
-
-class _Sums:
-    """Errors over the views."""
-
-    def __init__(self, max_range: float) -> None:
-        self._max_range, self._sweeps = max_range, 0
-        self._bins = [border for border in RANGE_BINS if border < max_range] + [max_range]
-        self._errors = PixelSums(self._bins)
-        self._distances = np.zeros((2, 2))  # sum and number, of all and of clear returns
-
-    def add(self, view: JudgedView, K: NDArray[np.float64]) -> None:
-        """Add a view."""
-        self._sweeps += 1
-        with np.errstate(invalid="ignore"):
-            compared = view.truth <= self._max_range  # false for pixels without a return
-        truth = view.truth[compared].astype(np.float64)
-        error = view.depth[compared] - truth
-        unknown = np.full(len(truth), np.nan)  # no shifted depth map
-        moving = view.classid[compared] >= DYNAMIC
-        self._errors.add(error, truth, unknown, view.clear[compared], moving)
-        both = compared & ~np.isnan(view.depth)
-        for row, chosen in enumerate((both, both & view.clear)):
-            pixels = np.flatnonzero(chosen)
-            returns, drawn = (points_of(K, depth, pixels) for depth in (view.truth, view.depth))
-            self._distances[row] += cloud_distance(returns, drawn)
-
-    def result(self, left_out: str) -> HeldOutResult:
-        """Metrics of all views added so far."""
-        errors = self._errors.errors
-        distances = [ratio(*sums) for sums in self._distances.tolist()]
-        return HeldOutResult(
-            sweeps=self._sweeps,
-            max_range=self._max_range,
-            all=errors(),
-            static=errors(dynamic=0),
-            dynamic=errors(dynamic=1),
-            clear=errors(interior=1),
-            by_range=tuple(
-                RangeErrors(near, far, errors(ranges=k))
-                for k, (near, far) in enumerate(pairwise(self._bins))
-            ),
-            point_to_point=distances[0],
-            clear_point_to_point=distances[1],
-            left_out=left_out,
-        )
+    of_all, of_clear = distances.tolist()
+    return HeldOutResult(
+        sweeps=len(judged),
+        max_range=max_range,
+        all=sums.errors(),
+        static=sums.errors(dynamic=0),
+        dynamic=sums.errors(dynamic=1),
+        clear=sums.errors(interior=1),
+        by_range=sums.by_range(),
+        point_to_point=ratio(*of_all),
+        clear_point_to_point=ratio(*of_clear),
+        left_out=str(left_out),
+    )
 
 
 class _HeldOutViews:
@@ -285,14 +257,13 @@ class _HeldOutViews:
         truth, row = project(self.camera, T_camera_sensor, view.points)
         depth = self._depth_without(index, T_camera_sensor @ inverse(view.T_lidar_sensor))
         classes = np.where(row < 0, np.uint16(0), classid[row])
-        clear = (row >= 0) & self._left_out.clear(frame, self._neighbours(index))[row]
-        return JudgedView(index, frame.name, depth, truth, classes, clear)
-
-    def _neighbours(self, index: int) -> Iterator[Neighbour]:
-        """The sweeps before and after a sweep."""
         poses = self._trajectory.poses
-        for k in (index - 1, index + 1):
-            yield Neighbour(self._folder.frame(k), inverse(poses[k]) @ poses[index])
+        neighbours = (
+            Neighbour(self._folder.frame(k), inverse(poses[k]) @ poses[index])
+            for k in (index - 1, index + 1)
+        )
+        clear = (row >= 0) & self._left_out.clear(frame, neighbours)[row]
+        return JudgedView(index, frame.name, depth, truth, classes, clear)
 
     def _depth_without(
         self, index: int, T_camera_lidar: NDArray[np.float64]

@@ -1,15 +1,16 @@
-"""SemanticKITTI's labels, the confusion matrix of static and dynamic points, and its metrics."""
+"""SemanticKITTI's labels, the confusion matrix of static and dynamic points, and moving objects."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
-from docdepth.evaluation.tables import number, percent, ratio
+from docdepth.evaluation.tables import Figures, number, percent, ratio
 from docdepth.geometry.points import MOVING_LABELS
 
 # Of SemanticKITTI.
@@ -67,7 +68,7 @@ def classes_of(labels: NDArray[np.uint32]) -> NDArray[np.uint32]:
 
 
 @dataclass(frozen=True)
-class LabelCounts:
+class LabelCounts(Figures):
     """Confusion matrix of the classes static and dynamic.
 
     Attributes
@@ -82,6 +83,7 @@ class LabelCounts:
     static_lost: int = 0
     dynamic_found: int = 0
     dynamic_missed: int = 0
+    derived = ("static", "dynamic", "sa", "da", "aa", "f1", "precision", "iou")
 
     @classmethod
     def of(cls, truth: NDArray[np.bool_], predicted: NDArray[np.bool_]) -> LabelCounts:
@@ -90,12 +92,7 @@ class LabelCounts:
         return cls(*(int(n) for n in (table[0], table[1], table[3], table[2])))
 
     def __add__(self, other: LabelCounts) -> LabelCounts:
-        return LabelCounts(
-            self.static_kept + other.static_kept,
-            self.static_lost + other.static_lost,
-            self.dynamic_found + other.dynamic_found,
-            self.dynamic_missed + other.dynamic_missed,
-        )
+        return LabelCounts(*map(sum, zip(astuple(self), astuple(other), strict=True)))
 
     @property
     def static(self) -> int:
@@ -137,24 +134,16 @@ class LabelCounts:
         """Intersection over union of the dynamic class, 0..1 (LiDAR-MOS)."""
         return ratio(self.dynamic_found, self.dynamic + self.static_lost)
 
-    def as_dict(self) -> dict[str, float]:
-        """Counts and metrics by name."""
-        metrics = {name: getattr(self, name) for name in _METRICS}
-        return {"static": self.static, "dynamic": self.dynamic, **metrics, **asdict(self)}
-
     def cells(self) -> list[str]:
         """Cells of a table row: numbers of points, then metrics."""
-        shares = [self.sa, self.da, self.aa]
-        rates = [self.f1, self.precision, self.iou]
         return [
             f"{self.static:,}",
             f"{self.dynamic:,}",
-            *(number(x, 2) for x in shares),
-            *(number(x, 4) for x in rates),
+            *(number(x, 2) for x in (self.sa, self.da, self.aa)),
+            *(number(x, 4) for x in (self.f1, self.precision, self.iou)),
         ]
 
 
-_METRICS = ("sa", "da", "aa", "f1", "precision", "iou")
 HEADER = ("static points", "dynamic points", "SA %", "DA %", "AA %", "F1", "precision", "IoU")
 NOTE = (
     "SA, DA: static and dynamic accuracy, the share of static and of dynamic points labelled so; "
@@ -162,3 +151,68 @@ NOTE = (
     "precision: share of the points labelled dynamic that are; "
     "IoU: intersection over union of the dynamic points"
 )
+
+# Slower objects are standing at that moment [m/s].
+MOVING_SPEED = 0.3
+# An object that travels less while it has returns cannot be seen to move [m].
+MIN_TRAVEL = 0.5
+
+
+def instances(labels: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """Number of the object of each SemanticKITTI label, shape (N,); 0 = none."""
+    return np.asarray(labels).astype(np.uint32, copy=False) >> np.uint32(16)
+
+
+def each_object(
+    instance: NDArray[np.uint32], among: NDArray[np.bool_]
+) -> Iterator[tuple[int, NDArray[np.int64]]]:
+    """Every object and the indices of its points, of those that are ``among``."""
+    rows = np.flatnonzero(among)
+    rows = rows[np.argsort(instance[rows], kind="stable")]
+    numbers, first = np.unique(instance[rows], return_index=True)
+    yield from zip(numbers.tolist(), np.split(rows, first[1:]), strict=False)
+
+
+@dataclass
+class SeenObject:
+    """What the sweeps saw of one object; sweeps are added in order of time.
+
+    Attributes
+    ----------
+    travel : float
+        Metres travelled while it had returns.
+    before, pauses, arrived : LabelCounts
+        Its standing points until it was first seen to move, between two motions, and after the
+        last one.
+    """
+
+    travel: float = 0.0
+    before: LabelCounts = LabelCounts()
+    pauses: LabelCounts = LabelCounts()
+    arrived: LabelCounts = LabelCounts()
+    _moved: bool = False
+
+    def add(self, speed: float, seconds: float, counts: LabelCounts) -> None:
+        """Add a sweep: its speed [m/s], the time to the next one, and its standing points."""
+        self.travel += speed * seconds
+        if speed > MOVING_SPEED:
+            self.pauses += self.arrived
+            self.arrived, self._moved = LabelCounts(), True
+        if self._moved:
+            self.arrived += counts
+        else:
+            self.before += counts
+
+    @property
+    def departs(self) -> LabelCounts:
+        """Its standing points before it was seen to move; none if it never was."""
+        return self.before if self._moved else LabelCounts()
+
+    @property
+    def standing(self) -> LabelCounts:
+        """All its standing points."""
+        return self.before + self.pauses + self.arrived
+
+    @property
+    def seen_to_move(self) -> bool:
+        return self.travel >= MIN_TRAVEL

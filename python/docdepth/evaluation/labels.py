@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections import Counter, defaultdict
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -15,15 +14,18 @@ from numpy.typing import NDArray
 from docdepth.errors import InputError
 from docdepth.evaluation.label_counts import (
     HEADER,
+    MOVING_SPEED,
     NOTE,
     LabelCounts,
+    SeenObject,
     class_name,
     classes_of,
+    each_object,
     ignored,
+    instances,
     moving,
 )
-from docdepth.evaluation.objects import MOVING_SPEED, SeenObject, each_object, instances
-from docdepth.evaluation.tables import Table, number, plain
+from docdepth.evaluation.tables import Band, Figures, Table, number
 
 # Points of objects that stand at that moment and move at another: names and headings.
 _STANDING = (
@@ -40,16 +42,7 @@ RANGE_BINS = (0.0, 10.0, 20.0, 30.0, 50.0, 80.0, math.inf)
 
 
 @dataclass(frozen=True)
-class RangeCounts:
-    """Counts of the points with ``near <= range < far`` [m]."""
-
-    near: float
-    far: float
-    counts: LabelCounts
-
-
-@dataclass(frozen=True)
-class LabelResult:
+class LabelResult(Figures):
     """Metrics of the labels of a drive.
 
     Attributes
@@ -74,8 +67,8 @@ class LabelResult:
     arrived, departs : LabelCounts, optional
         Of these, the points of objects that have been seen to move and stand from then on, and of
         those that have not been seen to move yet. The others pause. None without speeds.
-    by_range : tuple of RangeCounts
-        Empty without ranges.
+    by_range : tuple of Band
+        Points with ``near <= range < far`` [m]; empty without ranges.
     by_class : dict of str to LabelCounts
         Points of each true class: static ones, or those that move at that moment.
     objects, objects_found : int
@@ -89,38 +82,25 @@ class LabelResult:
     poses: str
     sweeps: int
     counts: LabelCounts
-    with_standing: LabelCounts | None = None
-    temporarily_static: LabelCounts | None = None
-    seen_to_move: LabelCounts | None = None
-    arrived: LabelCounts | None = None
-    departs: LabelCounts | None = None
-    by_range: tuple[RangeCounts, ...] = field(default=())
-    by_class: Mapping[str, LabelCounts] = field(default_factory=dict)
-    objects: int = 0
-    objects_found: int = 0
-    ignored: int = 0
+    with_standing: LabelCounts | None
+    temporarily_static: LabelCounts | None
+    seen_to_move: LabelCounts | None
+    arrived: LabelCounts | None
+    departs: LabelCounts | None
+    by_range: tuple[Band[LabelCounts], ...]
+    by_class: dict[str, LabelCounts]
+    objects: int
+    objects_found: int
+    ignored: int
+    flat = ("counts",)
 
     def as_dict(self) -> dict[str, Any]:
         """All metrics by name, ready for JSON; None replaces NaN."""
-        result: dict[str, Any] = {
-            "protocol": self.protocol,
-            "poses": self.poses,
-            "sweeps": self.sweeps,
-            "ignored": self.ignored,
-            **self.counts.as_dict(),
-        }
-        if self.with_standing is not None:
-            result["with_standing"] = self.with_standing.as_dict()
+        result = super().as_dict()
         for name, _ in _STANDING:
-            standing: LabelCounts | None = getattr(self, name)
-            if standing is not None:
-                result[name] = {"points": standing.dynamic, "da": standing.da}
-        result["by_range"] = [
-            {"near": row.near, "far": row.far, **row.counts.as_dict()} for row in self.by_range
-        ]
-        result["by_class"] = {name: counts.as_dict() for name, counts in self.by_class.items()}
-        result["objects"], result["objects_found"] = self.objects, self.objects_found
-        return dict(plain(result))
+            if name in result:
+                result[name] = {"points": result[name]["dynamic"], "da": result[name]["da"]}
+        return result
 
     def table(self) -> Table:
         """One row for all points, and one per range."""
@@ -132,9 +112,7 @@ class LabelResult:
                 cells = ["-", f"{standing.dynamic:,}", "-", number(standing.da, 2), *["-"] * 4]
                 rows.append((heading, *cells))
             rows.append(("both", *self.with_standing.cells()))
-        for row in self.by_range:
-            far = "" if math.isinf(row.far) else f"{row.far:g}"
-            rows.append((f"{row.near:g}..{far} m", *row.counts.cells()))
+        rows += [(f"{band} m", *band.figures.cells()) for band in self.by_range]
         for name, counts in self.by_class.items():
             sizes, shares = (counts.static, counts.dynamic), (counts.sa, counts.da)
             cells = [f"{size:,}" if size else "-" for size in sizes]
@@ -152,35 +130,17 @@ class LabelEvaluation:
     ----------
     poses : str
         Source of the poses; printed with the metrics.
-    min_speed : float
-        Faster objects are moving at that moment [m/s].
-    range_bins : sequence of float
-        Borders of the ranges that are reported apart [m].
-
-    Raises
-    ------
-    InputError
-        The borders do not increase.
     """
 
-    def __init__(
-        self,
-        poses: str = "not stated",
-        min_speed: float = MOVING_SPEED,
-        range_bins: Sequence[float] = RANGE_BINS,
-    ) -> None:
+    def __init__(self, poses: str = "not stated") -> None:
         self._poses = poses
-        self._min_speed = min_speed
-        self._bins = tuple(float(border) for border in range_bins)
-        if len(self._bins) < 2 or any(a >= b for a, b in pairwise(self._bins)):
-            raise InputError(f"range bins must increase, got {self._bins}")
         self._counts, self._standing = LabelCounts(), LabelCounts()
-        self._by_range = [LabelCounts() for _ in self._bins[1:]]
-        self._by_class: dict[int, LabelCounts] = {}
-        self._objects: dict[int, SeenObject] = {}
+        self._by_range = defaultdict[tuple[float, float], LabelCounts](LabelCounts)
+        self._by_class = defaultdict[int, LabelCounts](LabelCounts)
+        self._objects = defaultdict[int, SeenObject](SeenObject)
         self._moving = Counter[int]()  # points of each object while it moves, and those found
         self._found = Counter[int]()
-        self._sweeps = self._ignored = self._with_speeds = self._with_ranges = 0
+        self._sweeps = self._ignored = self._with_speeds = 0
 
     def add(
         self,
@@ -211,36 +171,40 @@ class LabelEvaluation:
             The arrays do not belong to the same points.
         """
         truth, counted = moving(labels), ~ignored(labels)
-        dynamic = _flags(dynamic, len(truth))
+        dynamic = np.asarray(dynamic)
+        if dynamic.dtype != bool or dynamic.shape != truth.shape:
+            raise InputError(
+                f"{len(truth)} labels need {len(truth)} bools (True: dynamic), got "
+                f"{dynamic.dtype} {dynamic.shape}; give one per point, in input order"
+            )
+        for name, values in (("ranges", ranges), ("speeds", speeds)):
+            if values is not None and values.shape != truth.shape:
+                raise InputError(f"{len(truth)} labels need as many {name}, got {values.shape}")
+
+        def count(chosen: NDArray[np.bool_] | NDArray[np.int64]) -> LabelCounts:
+            return LabelCounts.of(truth[chosen], dynamic[chosen])
+
         numbers, standing = instances(labels), np.zeros_like(truth)
         if speeds is not None:
-            speeds = _values("speeds", speeds, len(truth))
-            standing = truth & counted & ~(speeds > self._min_speed)
-            self._standing += LabelCounts.of(truth[standing], dynamic[standing])
+            standing = truth & counted & ~(speeds > MOVING_SPEED)
+            self._standing += count(standing)
             for key, rows in each_object(numbers, truth & counted):
-                stands = rows[standing[rows]]
-                counts = LabelCounts.of(truth[stands], dynamic[stands])
-                found = self._objects.setdefault(key, SeenObject())
-                found.add(float(np.median(speeds[rows])), seconds, counts, self._min_speed)
+                speed = float(np.median(speeds[rows]))
+                self._objects[key].add(speed, seconds, count(rows[standing[rows]]))
         now = counted & ~standing
-        self._counts += LabelCounts.of(truth[now], dynamic[now])
+        self._counts += count(now)
         classes = classes_of(labels)
         for key in np.unique(classes[now]).tolist():
-            inside = now & (classes == key)
-            before = self._by_class.get(key, LabelCounts())
-            self._by_class[key] = before + LabelCounts.of(truth[inside], dynamic[inside])
+            self._by_class[key] += count(now & (classes == key))
         for key, rows in each_object(numbers, now & truth & (numbers > 0)):
             self._moving[key] += len(rows)
             self._found[key] += int(np.count_nonzero(dynamic[rows]))
         if ranges is not None:
-            ranges = _values("ranges", ranges, len(truth))
-            for k, (near, far) in enumerate(pairwise(self._bins)):
-                inside = now & (ranges >= near) & (ranges < far)
-                self._by_range[k] += LabelCounts.of(truth[inside], dynamic[inside])
+            for near, far in pairwise(RANGE_BINS):
+                self._by_range[near, far] += count(now & (ranges >= near) & (ranges < far))
         self._sweeps += 1
-        self._ignored += int(len(truth) - np.count_nonzero(counted))
+        self._ignored += int(np.count_nonzero(~counted))
         self._with_speeds += speeds is not None
-        self._with_ranges += ranges is not None
 
     def result(self) -> LabelResult:
         """Metrics of all sweeps added so far.
@@ -255,49 +219,27 @@ class LabelEvaluation:
                 f"speeds were given for {self._with_speeds} of {self._sweeps} sweeps; "
                 "give them for all or for none"
             )
-        speeds = self._with_speeds > 0
         protocol = "point by point, classes 251..259 dynamic, 0 and 1 ignored"
-        if speeds:
-            protocol += f", moving now means above {self._min_speed:g} m/s"
+        if self._with_speeds:
+            protocol += f", moving now means above {MOVING_SPEED:g} m/s"
         travel = [o for o in self._objects.values() if o.seen_to_move]
-        by_range: tuple[RangeCounts, ...] = ()
-        if self._with_ranges:
-            bins = zip(pairwise(self._bins), self._by_range, strict=True)
-            by_range = tuple(RangeCounts(near, far, counts) for (near, far), counts in bins)
+        none = LabelCounts()
+        apart = {
+            "with_standing": self._counts + self._standing,
+            "temporarily_static": self._standing,
+            "seen_to_move": sum((o.standing for o in travel), none),
+            "arrived": sum((o.arrived for o in travel), none),
+            "departs": sum((o.departs for o in travel), none),
+        }
         return LabelResult(
             protocol=protocol,
             poses=self._poses,
             sweeps=self._sweeps,
             counts=self._counts,
-            with_standing=self._counts + self._standing if speeds else None,
-            temporarily_static=self._standing if speeds else None,
-            seen_to_move=_sum(o.standing for o in travel) if speeds else None,
-            arrived=_sum(o.arrived for o in travel) if speeds else None,
-            departs=_sum(o.departs for o in travel) if speeds else None,
-            by_range=by_range,
+            **(apart if self._with_speeds else dict.fromkeys(apart)),
+            by_range=tuple(Band(*borders, counts) for borders, counts in self._by_range.items()),
             by_class={class_name(key): self._by_class[key] for key in sorted(self._by_class)},
             objects=len(self._moving),
             objects_found=sum(2 * self._found[key] >= self._moving[key] for key in self._moving),
             ignored=self._ignored,
         )
-
-
-def _sum(counts: Iterable[LabelCounts]) -> LabelCounts:
-    return sum(counts, LabelCounts())
-
-
-def _flags(dynamic: NDArray[np.bool_], points: int) -> NDArray[np.bool_]:
-    dynamic = np.asarray(dynamic)
-    if dynamic.dtype != bool or dynamic.shape != (points,):
-        raise InputError(
-            f"{points} labels need {points} bools (True: dynamic), got {dynamic.dtype} "
-            f"{dynamic.shape}; give one per point, in input order"
-        )
-    return dynamic
-
-
-def _values(name: str, values: NDArray[Any], points: int) -> NDArray[Any]:
-    values = np.asarray(values)
-    if values.shape != (points,):
-        raise InputError(f"{points} labels need {points} {name}, got {values.shape}")
-    return values

@@ -1,4 +1,4 @@
-"""Nearest neighbours between point clouds, for cleaned maps and for depth as points."""
+"""Nearest neighbours between point clouds, for depth as points and for cleaned maps."""
 
 from __future__ import annotations
 
@@ -9,39 +9,32 @@ from numpy.typing import NDArray
 
 import docdepth._core as _core
 
-# Queries per piece, so that temporary arrays stay below a hundred megabytes.
-_BATCH = 1_000_000
+_QUERIES = 50_000
+"""Points of a cloud that look for their neighbour in the other, evenly chosen: thousands tell the
+mean, and a dense image has half a million."""
 
 
 def nearest_neighbors(
-    points: NDArray[np.floating[Any]],
-    queries: NDArray[np.floating[Any]],
-    max_distance: float,
-    threads: int = 0,
+    points: NDArray[np.floating[Any]], queries: NDArray[np.floating[Any]], threads: int = 0
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """The nearest point of each query, found with a k-d tree in single precision.
 
     Parameters
     ----------
-    points : ndarray of float, shape (N, 3)
-        Metres, finite.
-    queries : ndarray of float, shape (M, 3)
+    points, queries : ndarray of float, shape (N, 3) and (M, 3)
         In the same frame [m], finite.
-    max_distance : float
-        Farther points are no neighbours [m].
     threads : int
         0 uses all cores. The result does not depend on it.
 
     Returns
     -------
     index : ndarray of int64, shape (M,)
-        Row of ``points``; meaningless where there is no neighbour.
+        Row of ``points``.
     distance : ndarray of float64, shape (M,)
-        Metres, in double precision; infinite where there is no neighbour.
+        Metres, in double precision; infinite without points.
     """
-    distance = np.full(len(queries), np.inf)
     if not len(points) or not len(queries):
-        return np.zeros(len(queries), dtype=np.int64), distance
+        return np.zeros(len(queries), np.int64), np.full(len(queries), np.inf)
     # Single precision suffices near the origin; float32 points are searched as they are.
     origin = points.mean(axis=0) if points.dtype == np.float64 else np.zeros(3, points.dtype)
     found, _ = _core.nearest_neighbors(
@@ -50,22 +43,11 @@ def nearest_neighbors(
         threads,
     )
     index = found.astype(np.int64)
-    for start in range(0, len(queries), _BATCH):
-        batch = slice(start, start + _BATCH)
-        offset = points[index[batch]].astype(np.float64) - queries[batch]
-        distance[batch] = np.sqrt(np.einsum("ij,ij->i", offset, offset))
-    distance[distance > max_distance] = np.inf
-    return index, distance
+    offset = points[index].astype(np.float64) - queries
+    return index, np.sqrt(np.einsum("ij,ij->i", offset, offset))
 
 
-_QUERIES = 50_000
-"""Points of a cloud that look for their neighbour in the other, evenly chosen: thousands tell the
-mean, and a dense image has half a million."""
-
-
-def cloud_distance(
-    cloud: NDArray[np.float64], other: NDArray[np.float64], threads: int = 0
-) -> tuple[float, int]:
+def cloud_distance(cloud: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[float, int]:
     """Distance between two clouds: from each point to the nearest of the other, both ways.
 
     Parameters
@@ -82,7 +64,6 @@ def cloud_distance(
     if not len(cloud) or not len(other):
         return total, count
     for points, queries in ((cloud, other), (other, cloud)):
-        chosen = queries[:: -(-len(queries) // _QUERIES)]
-        _, distance = nearest_neighbors(points, chosen, np.inf, threads)
+        _, distance = nearest_neighbors(points, queries[:: -(-len(queries) // _QUERIES)])
         total, count = total + float(distance.sum()), count + len(distance)
     return total, count

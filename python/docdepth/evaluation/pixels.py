@@ -1,4 +1,4 @@
-"""Operations on depth maps: projection, hole filling, depth edges, shift, points."""
+"""Operations on depth maps: projection, hole filling, depth edges, points."""
 
 from __future__ import annotations
 
@@ -64,30 +64,16 @@ def fill_background(depth: Depth) -> Depth:
     depth : ndarray of float32, shape (h, w)
         Metres; NaN = none.
     """
-    filled = _extend(depth, axis=1, between=True)
-    return _extend(filled, axis=0, between=False)
+    rows = np.fmin(_carried(depth), _carried(depth[:, ::-1])[:, ::-1])
+    before, after = _carried(rows.T), _carried(rows.T[:, ::-1])[:, ::-1]
+    outside = np.isnan(before) | np.isnan(after)
+    return np.ascontiguousarray(np.where(outside, np.fmin(before, after), rows.T).T)
 
 
-def _extend(depth: Depth, axis: int, between: bool) -> Depth:
-    """Extend valid depths along an axis to its ends, and fill the gaps between if asked."""
-    # Contiguous lines along the axis, so that memory is read in order.
-    lines = np.ascontiguousarray(depth if axis == 1 else depth.T)
-    length = lines.shape[1]
-    column = np.arange(length, dtype=np.int32)
-    gap = np.isnan(lines)
-    before = np.maximum.accumulate(np.where(gap, -1, column), axis=1)
-    after = np.minimum.accumulate(np.where(gap, length, column)[:, ::-1], axis=1)[:, ::-1]
-    rows, columns = np.nonzero(gap)
-    before, after = before[rows, columns], after[rows, columns]
-    # The last value before an empty pixel and the first after it; NaN where there is none.
-    first = np.where(before >= 0, lines[rows, np.maximum(before, 0)], np.nan)
-    last = np.where(after < length, lines[rows, np.minimum(after, length - 1)], np.nan)
-    filled = np.fmin(first, last)
-    if not between:
-        filled[(before >= 0) & (after < length)] = np.nan
-    lines = lines.copy()
-    lines[rows, columns] = filled
-    return lines if axis == 1 else np.ascontiguousarray(lines.T)
+def _carried(lines: Depth) -> Depth:
+    """Lines with the last value before each empty pixel; NaN where there is none."""
+    last = np.where(np.isnan(lines), 0, np.arange(lines.shape[1]))
+    return np.take_along_axis(lines, np.maximum.accumulate(last, axis=1), axis=1)
 
 
 def depth_edges(depth: Depth) -> Mask:
@@ -123,13 +109,6 @@ def edge_distance(depth: Depth) -> NDArray[np.float32]:
     if not edges.any():
         return np.full(depth.shape, np.inf, np.float32)
     return np.asarray(cv2.distanceTransform((~edges).astype(np.uint8), cv2.DIST_C, 3), np.float32)
-
-
-def shifted(depth: Depth) -> Depth:
-    """The depth map moved right by one pixel; the first column becomes NaN."""
-    result = np.full_like(depth, np.nan)
-    result[:, 1:] = depth[:, :-1]
-    return result
 
 
 def points_of(K: NDArray[np.float64], depth: Depth, pixels: NDArray[np.int64]) -> Points:

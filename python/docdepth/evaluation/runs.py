@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +13,9 @@ from docdepth.concurrency import Progress
 from docdepth.datasets import open_dataset
 from docdepth.errors import DatasetError
 from docdepth.evaluation.depth import DepthEvaluation, DepthResult, Mode
-from docdepth.evaluation.depth_regions import DepthRegions
 from docdepth.evaluation.depth_truth import DepthTruth, array_of
-from docdepth.evaluation.label_counts import ignored, moving
+from docdepth.evaluation.label_counts import instances
 from docdepth.evaluation.labels import LabelEvaluation, LabelResult
-from docdepth.evaluation.objects import instances
 from docdepth.evaluation.track_overlaps import track_packages
 from docdepth.evaluation.tracks import TrackEvaluation, TrackResult
 from docdepth.geometry.points import DYNAMIC
@@ -36,48 +33,15 @@ _OTHER_SCALE = 1.5
 """Factor between true and made depth, in the median, that no error of depth explains."""
 
 
-@dataclass(frozen=True)
-class JudgedSweep:
-    """The labels of a sweep beside the true ones.
-
-    Attributes
-    ----------
-    name : str
-    points : ndarray of float32, shape (N, 3)
-        LiDAR frame [m].
-    classid : ndarray of uint16, shape (N,)
-        As docdepth has them.
-    truth, counted : ndarray of bool, shape (N,)
-        Which points have a moving class, and which are labelled at all.
-    """
-
-    name: str
-    points: NDArray[np.float32]
-    classid: NDArray[np.uint16]
-    truth: NDArray[np.bool_]
-    counted: NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class JudgedImage:
-    """A depth map beside the true one, (h, w) each [m]; NaN = none.
-
-    Attributes
-    ----------
-    name : str
-    depth, truth : ndarray of float32
-    """
-
-    name: str
-    depth: NDArray[np.float32]
-    truth: NDArray[np.float32]
+Look = Callable[..., None]
+"""Sees what is compared, for a page of errors."""
 
 
 def evaluate_labels(
     run: Path | str | RunFolder,
     labels: Path,
     progress: Progress | None = None,
-    look: Callable[[JudgedSweep], None] | None = None,
+    look: Look | None = None,
 ) -> LabelResult:
     """Compare the classes of a run with SemanticKITTI labels.
 
@@ -93,7 +57,7 @@ def evaluate_labels(
     progress : callable, optional
         Called with ``"labels"``, the sweeps done and their number.
     look : callable, optional
-        Called with each :class:`JudgedSweep`.
+        Called for each sweep as :meth:`docdepth.evaluation.error_page.LabelPage.look`.
 
     Raises
     ------
@@ -116,9 +80,7 @@ def evaluate_labels(
         ranges[record.index] = np.linalg.norm(record.points, axis=1)
         evaluation.add(truth, dynamic, ranges, _speeds(labels, record.name), _seconds(times))
         if look:
-            true = truth[record.index]
-            flags = moving(true), ~ignored(true)
-            look(JudgedSweep(record.name, record.points, classid, *flags))
+            look(record.name, record.points, classid, truth[record.index])
         if progress:
             progress("labels", index + 1, len(times))
     return evaluation.result()
@@ -207,7 +169,7 @@ def evaluate_depth(
     max_range: float = 80.0,
     camera: str | None = None,
     progress: Progress | None = None,
-    look: Callable[[JudgedImage], None] | None = None,
+    look: Look | None = None,
     other: Path | None = None,
 ) -> DepthResult:
     """Compare the depth maps of a run with true depth maps of the same names.
@@ -230,7 +192,7 @@ def evaluate_depth(
     progress : callable, optional
         Called with ``"depth"``, the depth maps done and their number.
     look : callable, optional
-        Called with each :class:`JudgedImage`.
+        Called for each image as :meth:`docdepth.evaluation.error_page.DepthPage.look`.
     other : Path, optional
         Another run, or a folder of the depth maps of another method, of the same names. Both are
         compared over the pixels that both fill.
@@ -250,22 +212,20 @@ def evaluate_depth(
     camera = folder.depth_folder(camera)
     require(folder, f"render {folder.camera_in(camera)}")
     truth = DepthTruth(depth, folder, camera)
-    regions = DepthRegions(folder, camera)
     others = None if other is None else _maps_of(other, camera)
     evaluation = DepthEvaluation(mode=mode, max_range=max_range, poses=_poses(folder))
     ratios: list[float] = []
     for done, name in enumerate(truth.maps, 1):
-        made, true, K, part = truth.read(name)
-        classes = truth.classes(name)
-        dynamic = None if classes is None else moving(classes.ravel()).reshape(classes.shape)
+        made, true, K, part, dynamic, regions = truth.read(name)
         beside = None if others is None else _map_in(others, name, part)
-        evaluation.add(made, true, dynamic, K, regions.of(name, classes, part), beside)
+        evaluation.add(made, true, dynamic, K, regions, beside)
         if look:
-            look(JudgedImage(name, made, true))
-        ratios.append(_ratio(made, true))
+            look(name, made, true)
+        if (both := np.isfinite(made) & np.isfinite(true)).any():
+            ratios.append(float(np.median(true[both] / made[both])))
         if progress:
             progress("depth", done, len(truth.maps))
-    ratio = float(np.nanmedian(ratios)) if np.isfinite(ratios).any() else 1.0
+    ratio = np.median(ratios) if ratios else 1.0
     if not 1 / _OTHER_SCALE < ratio < _OTHER_SCALE:
         log.warning(
             "the depth in %s is %.3g times that of the run; depth is in metres, PNG in metres x "
@@ -290,12 +250,6 @@ def _map_in(maps: dict[str, Path], name: str, part: tuple[slice, slice]) -> NDAr
         raise DatasetError(f"{folder} has no depth map {name}; both methods need the same images")
     depth = read_depth(maps[name])
     return depth if depth.shape == depth[part].shape else depth[part]
-
-
-def _ratio(made: NDArray[np.float32], true: NDArray[np.float32]) -> float:
-    """Median of true depth over made depth; NaN if no pixel has both."""
-    both = np.isfinite(made) & np.isfinite(true)
-    return float(np.median(true[both] / made[both])) if both.any() else np.nan
 
 
 def _truth_folder(path: Path, inside: str, run: RunFolder) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, Generic, TypeVar
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,43 @@ class Table:
         return "\n".join([self.title, *lines, *([self.note] if self.note else [])])
 
 
+class Figures:
+    """A dataclass of figures; what is None was not asked for."""
+
+    derived: ClassVar[tuple[str, ...]] = ()  # properties that are figures, too
+    flat: ClassVar[tuple[str, ...]] = ()  # fields whose figures stand among the others
+
+    def as_dict(self) -> dict[str, Any]:
+        """All figures by name, ready for JSON; None replaces NaN."""
+        result: dict[str, Any] = {}
+        for name in (*self.__dataclass_fields__, *self.derived):  # type: ignore[attr-defined]
+            value = getattr(self, name)
+            if value is not None:
+                result |= plain(value) if name in self.flat else {name: plain(value)}
+        return result
+
+
+FiguresOf = TypeVar("FiguresOf", bound=Figures)
+
+
+@dataclass(frozen=True)
+class Band(Figures, Generic[FiguresOf]):
+    """Figures of what lies between two borders."""
+
+    near: float
+    far: float
+    figures: FiguresOf
+    flat = ("figures",)
+
+    def __str__(self) -> str:
+        far = "" if math.isinf(self.far) else f"{self.far:g}"
+        return f"{self.near:g}..{far}"
+
+
 def plain(value: Any) -> Any:
-    """A tree of dicts, lists and numbers that JSON can store: None replaces NaN and infinity."""
+    """Figures, dicts, lists and numbers as JSON can store them: None replaces NaN and infinity."""
+    if isinstance(value, Figures):
+        return value.as_dict()
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import MissingExtraError
-from docdepth.evaluation.tables import percent, ratio
+from docdepth.evaluation.tables import Figures, percent, ratio
 
 Ints = NDArray[np.int64]
 
@@ -79,7 +79,7 @@ class Overlaps:
 
 
 @dataclass(frozen=True)
-class TrackScores:
+class TrackScores(Figures):
     """Figures of the instances of a whole drive.
 
     Attributes
@@ -138,10 +138,12 @@ def track_scores(sweeps: Sequence[Overlaps]) -> TrackScores:
     hota = motrics.compute_hota_from_similarity(true, made, similarity)
     clear = motrics.compute_clear_from_similarity(true, made, similarity, MATCH_IOU)
     drive = over_drive(sweeps)
+    each = (drive.shared * drive.iou).sum(axis=1) / np.maximum(drive.true_points, 1)
     return TrackScores(
         *(hota.hota, hota.deta, hota.assa, clear.mota),
         id_switches=clear.num_switches,
-        s_assoc=_s_assoc(drive),
+        # Aygün et al., 4D Panoptic LiDAR Segmentation (CVPR 2021), equation 5.
+        s_assoc=ratio(float(each.sum()), len(each)),
         purity=percent(
             int(drive.shared.max(axis=0, initial=0).sum()), int(drive.made_points.sum())
         ),
@@ -176,9 +178,3 @@ def right_points(drive: Overlaps) -> dict[int, int]:
     rows, columns = optimize.linear_sum_assignment(drive.shared, maximize=True)
     right = dict(zip(drive.true[rows].tolist(), drive.shared[rows, columns].tolist(), strict=True))
     return {number: int(right.get(number, 0)) for number in drive.true.tolist()}
-
-
-def _s_assoc(drive: Overlaps) -> float:
-    """S_assoc of Aygün et al., 4D Panoptic LiDAR Segmentation (CVPR 2021), equation 5."""
-    each = (drive.shared * drive.iou).sum(axis=1) / np.maximum(drive.true_points, 1)
-    return ratio(float(each.sum()), len(each))

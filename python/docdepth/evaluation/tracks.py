@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
-from docdepth.evaluation.label_counts import LabelCounts, ignored, moving
-from docdepth.evaluation.objects import (
+from docdepth.evaluation.label_counts import (
     MIN_TRAVEL,
-    MOVING_SPEED,
+    LabelCounts,
     SeenObject,
     each_object,
+    ignored,
     instances,
+    moving,
 )
-from docdepth.evaluation.tables import Table, number, percent, plain
-from docdepth.evaluation.track_errors import ErrorSums, Floats, PathErrors, box_errors, offset_of
+from docdepth.evaluation.tables import Figures, Table, number, percent
 from docdepth.evaluation.track_overlaps import (
     Overlaps,
     TrackScores,
@@ -28,7 +28,10 @@ from docdepth.evaluation.track_overlaps import (
     right_points,
     track_scores,
 )
+from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track
+
+Floats = NDArray[np.float64]
 
 # Fewer returns in a sweep say neither how large an object is nor where it heads.
 MIN_RETURNS = 10
@@ -41,8 +44,44 @@ _PEOPLE = (253, 254, 255)
 _ROWS = {"all": ("vehicle", "person"), "vehicle": ("vehicle",), "person": ("person",)}
 
 
+ERRORS = ("along", "across", "up", "heading_deg", "velocity")
+"""Of the centre of a box's bottom along its heading, across it and upward [m], of the heading
+[deg] and of the velocity [m/s]."""
+
+
 @dataclass(frozen=True)
-class KindResult:
+class Spread(Figures):
+    """Median and 95 % quantile of the sizes of errors; NaN without any."""
+
+    median: float
+    p95: float
+
+
+class MatchedBox(NamedTuple):
+    """A box at one time beside the true one, with the errors of :func:`box_errors`.
+
+    Attributes
+    ----------
+    kind : str
+        Of the true object.
+    true, made : int
+        Their ids.
+    errors : tuple of float
+    deviation : float
+        That the track states [m].
+    kind_right : bool
+    """
+
+    kind: str
+    true: int
+    made: int
+    errors: tuple[float, ...]
+    deviation: float
+    kind_right: bool
+
+
+@dataclass(frozen=True)
+class KindResult(Figures):
     """Objects of one kind.
 
     Attributes
@@ -58,9 +97,8 @@ class KindResult:
         Boxes of found objects that could be compared.
     kind_right : float
         Share of these boxes whose track has the right kind [%].
-    errors : dict
-        Median and 95 % quantile along, across, upward [m], of the heading [deg] and of the velocity
-        [m/s].
+    errors : dict of str to Spread
+        By the names of :data:`ERRORS`.
     normalised_error : float
         Error of the path divided by the deviation that the track states, root mean square: 1 where
         tracks state how wrong they are, 2 where they are twice as wrong.
@@ -72,12 +110,18 @@ class KindResult:
     right: float
     boxes: int
     kind_right: float
-    errors: dict[str, tuple[float, float]]
+    errors: dict[str, Spread]
     normalised_error: float
+    derived = ("found_share",)
+
+    @property
+    def found_share(self) -> float:
+        """Share of the objects that are found [%]."""
+        return percent(self.found, self.objects)
 
 
 @dataclass(frozen=True)
-class TrackResult:
+class TrackResult(Figures):
     """Figures of the tracks of a drive.
 
     Attributes
@@ -95,41 +139,82 @@ class TrackResult:
     sweeps: int
     scores: TrackScores
     kinds: dict[str, KindResult]
-
-    def as_dict(self) -> dict[str, Any]:
-        """All figures by name, ready for JSON; None replaces NaN."""
-        kinds = {name: self._with_share(kind) for name, kind in self.kinds.items()}
-        head = {"protocol": self.protocol, "poses": self.poses, "sweeps": self.sweeps}
-        return dict(plain({**head, **asdict(self.scores), "kinds": kinds}))
-
-    @staticmethod
-    def _with_share(kind: KindResult) -> dict[str, Any]:
-        errors = {n: {"median": m, "p95": p} for n, (m, p) in kind.errors.items()}
-        return {**asdict(kind), "found_share": percent(kind.found, kind.objects), "errors": errors}
+    flat = ("scores",)
 
     def table(self) -> Table:
         """One row for all objects, and one for each kind."""
-        rows = []
+        s, rows = self.scores, []
+        scores = [number(v, 3) for v in (s.hota, s.det_a, s.ass_a, s.mota, s.s_assoc)]
+        scores += [str(s.id_switches), number(s.purity, 1)]
         for name, kind in self.kinds.items():
-            s = self.scores
-            scores = [number(v, 3) for v in (s.hota, s.det_a, s.ass_a, s.mota, s.s_assoc)]
-            scores += [str(s.id_switches), number(s.purity, 1)]
-            errors = [
-                "-" if not kind.boxes else f"{median:.2f} ({high:.2f})"
-                for median, high in kind.errors.values()
-            ]
             rows.append((
                 name,
                 f"{kind.objects}",
-                number(percent(kind.found, kind.objects), 1),
+                number(kind.found_share, 1),
                 number(kind.right, 1),
                 *(scores if name == "all" else ["-"] * len(scores)),
-                *errors,
+                *(f"{e.median:.2f} ({e.p95:.2f})" if kind.boxes else "-"
+                  for e in kind.errors.values()),
                 number(kind.normalised_error, 2),
                 number(kind.kind_right, 1),
             ))  # fmt: skip
         title = f"tracks: {self.protocol}; poses: {self.poses}; {self.sweeps} sweeps"
         return Table(title, ("objects", *HEADER), tuple(rows), NOTE)
+
+
+def box_errors(
+    true: Track, made: Track, time: int, T_true_lidar: Floats, T_made_lidar: Floats
+) -> tuple[float, ...]:
+    """Errors of a box at one time, in the order of :data:`ERRORS`; the first three have signs.
+
+    Boxes are compared as the LiDAR sees them, so that errors of its poses do not count.
+
+    Parameters
+    ----------
+    true, made : Track
+    time : int
+        [ns].
+    T_true_lidar, T_made_lidar : ndarray of float64, shape (4, 4)
+        Pose of the LiDAR in the world of either track.
+    """
+    boxes = [inverse(T) @ t.pose_at(time) for t, T in ((true, T_true_lidar), (made, T_made_lidar))]
+    apart = inverse(boxes[0]) @ boxes[1]
+    heading = abs(float(np.degrees(np.arctan2(apart[1, 0], apart[0, 0]))))
+    there, here = T_true_lidar[:3, :3].T, T_made_lidar[:3, :3].T
+    velocity = here @ made.velocity_at(time) - there @ true.velocity_at(time)
+    return *apart[:3, 3].tolist(), heading, float(np.linalg.norm(velocity))
+
+
+def spreads(boxes: Sequence[MatchedBox]) -> dict[str, Spread]:
+    """Median and 95 % quantile of each error."""
+    if not boxes:
+        return dict.fromkeys(ERRORS, Spread(np.nan, np.nan))
+    quantiles = np.quantile(np.abs([box.errors for box in boxes]), (0.5, 0.95), axis=0)
+    return {name: Spread(*pair) for name, pair in zip(ERRORS, quantiles.T.tolist(), strict=True)}
+
+
+def normalised_error(boxes: Sequence[MatchedBox]) -> float:
+    """How the paths of tracks err beside the deviations that the tracks state.
+
+    An object may never have been seen whole. So the centre of its box is off by as much in all
+    sweeps, which no deviation tells: of each track the weighted mean of its offsets is taken away.
+    What remains, divided by the deviation, is 1 in the root mean square where the deviation is
+    right. Its square is known as NEES, the normalised estimation error squared. NaN without a track
+    of two boxes.
+    """
+    tracks = defaultdict[tuple[int, int], list[tuple[float, ...]]](list)
+    for box in boxes:
+        tracks[box.true, box.made].append((*box.errors[:2], box.deviation))
+    total, free = 0.0, 0
+    for rows in tracks.values():
+        along, across, deviation = np.array(rows).T
+        if len(rows) < 2 or not (deviation > 0).all():
+            continue
+        weight = deviation**-2
+        for offset in (along, across):
+            total += float(weight @ (offset - weight @ offset / weight.sum()) ** 2)
+        free += len(rows) - 1
+    return float(np.sqrt(total / free)) if free else np.nan
 
 
 class TrackEvaluation:
@@ -152,7 +237,7 @@ class TrackEvaluation:
         self._true, self._made = ({t.id: t for t in ts} for ts in (true_tracks, tracks))
         self._poses = poses
         self._sweeps: list[tuple[Overlaps, int, Floats, Floats]] = []
-        self._objects: dict[int, SeenObject] = {}
+        self._objects = defaultdict[int, SeenObject](SeenObject)
         self._kinds: dict[int, str] = {}
         self._with_speeds = 0
 
@@ -197,8 +282,7 @@ class TrackEvaluation:
             person = int(labels[rows[0]] & 0xFFFF) in _PEOPLE
             self._kinds[key] = "person" if person else "vehicle"
             speed = np.inf if speeds is None else float(np.median(speeds[rows]))
-            seen = self._objects.setdefault(key, SeenObject())
-            seen.add(speed, seconds, LabelCounts(), MOVING_SPEED)
+            self._objects[key].add(speed, seconds, LabelCounts())
         # Points without a label, and moving ones of no object, say nothing.
         judged = ~ignored(labels) & ~(moves & (number_of == 0))
         true = np.where(moves, number_of, 0)[judged]
@@ -223,24 +307,29 @@ class TrackEvaluation:
         for o, *_ in self._sweeps:
             often.update(o.true[o.true_points >= MIN_RETURNS].tolist())
         counted = {k for k, n in often.items() if n >= MIN_SWEEPS and self._objects[k].seen_to_move}
-        judged = [o.without(~_counts(o, counted), MIN_RETURNS) for o, *_ in self._sweeps]
-        errors, paths, matched, kinds = self._compare_boxes(judged)
+        judged = []
+        for o, *_ in self._sweeps:
+            among = np.isin(o.true, sorted(counted)) & (o.true_points >= MIN_RETURNS)
+            judged.append(o.without(~among, MIN_RETURNS))
+        matches = [o.matches() for o in judged]
+        matched = Counter(true for pairs in matches for true, _ in pairs)
+        boxes = list(self._boxes(matches))
         drive = over_drive(judged)
         right, points = right_points(drive), dict(zip(drive.true, drive.true_points, strict=True))
 
         def row(among: tuple[str, ...]) -> KindResult:
             mine = [k for k in sorted(counted) if self._kinds[k] in among]
+            own = [box for box in boxes if box.kind in among]
             total = sum(int(points[k]) for k in mine)
-            told = [k for kind in among for k in kinds[kind]]
             return KindResult(
                 objects=len(mine),
                 found=sum(2 * matched[k] >= often[k] for k in mine),
                 points=total,
                 right=percent(sum(right[k] for k in mine), total),
-                boxes=len(told),
-                kind_right=percent(sum(told), len(told)),
-                errors=errors.of(among),
-                normalised_error=paths.normalised(among),
+                boxes=len(own),
+                kind_right=percent(sum(box.kind_right for box in own), len(own)),
+                errors=spreads(own),
+                normalised_error=normalised_error(own),
             )
 
         protocol = (
@@ -250,28 +339,15 @@ class TrackEvaluation:
         rows = {name: row(among) for name, among in _ROWS.items()}
         return TrackResult(protocol, self._poses, len(judged), track_scores(judged), rows)
 
-    def _compare_boxes(
-        self, judged: Sequence[Overlaps]
-    ) -> tuple[ErrorSums, PathErrors, Counter[int], dict[str, list[bool]]]:
-        """Errors of matched boxes and paths, matched sweeps of objects, which kinds are right."""
-        errors, paths, matched = ErrorSums(), PathErrors(), Counter[int]()
-        kinds: dict[str, list[bool]] = {"vehicle": [], "person": []}
-        for overlaps, (_, time, *worlds) in zip(judged, self._sweeps, strict=True):
-            for true, made in overlaps.matches():
-                matched[true] += 1
+    def _boxes(self, matches: Sequence[list[tuple[int, int]]]) -> Iterator[MatchedBox]:
+        """The boxes of matched objects that both have a track."""
+        for pairs, (_, time, *worlds) in zip(matches, self._sweeps, strict=True):
+            for true, made in pairs:
                 if true in self._true and made in self._made:
                     kind, track = self._kinds[true], self._made[made]
-                    errors.add(kind, box_errors(self._true[true], track, time, *worlds))
-                    offset = offset_of(self._true[true], track, time, *worlds)
-                    paths.add(kind, true, made, offset, track.deviation_at(time))
-                    kinds[kind].append(track.kind == kind)
-        return errors, paths, matched, kinds
-
-
-def _counts(overlaps: Overlaps, counted: set[int]) -> NDArray[np.bool_]:
-    """Which true objects of a sweep count in it."""
-    among: NDArray[np.bool_] = np.isin(overlaps.true, sorted(counted))
-    return among & (overlaps.true_points >= MIN_RETURNS)
+                    errors = box_errors(self._true[true], track, time, *worlds)
+                    told = track.deviation_at(time), track.kind == kind
+                    yield MatchedBox(kind, true, made, errors, *told)
 
 
 HEADER = (

@@ -5,9 +5,8 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from docdepth.datasets import Dataset, full_recording
 from docdepth.datasets.up_axis import LevelledRecording
 from docdepth.errors import InputError, OdometryError, log_findings
-from docdepth.evaluation.tables import Table, number, plain
+from docdepth.evaluation.tables import Figures, Table, number
 from docdepth.geometry.se3 import inverse, nearest_rotation
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.inputs import OWN_POSES
@@ -37,25 +36,23 @@ _KITTI_STEP = 10  # poses from the beginning of one such part to that of the nex
 
 
 @dataclass(frozen=True)
-class Errors:
-    """Root mean square, mean, median and largest of some errors; NaN where there are none."""
+class Errors(Figures):
+    """Root mean square, mean, median and largest of some errors."""
 
-    rmse: float = math.nan
-    mean: float = math.nan
-    median: float = math.nan
-    max: float = math.nan
+    rmse: float
+    mean: float
+    median: float
+    max: float
 
     @classmethod
     def of(cls, errors: Floats) -> Errors:
         """Of the sizes of errors, shape (n,)."""
-        if not len(errors):
-            return cls()
         values = math.sqrt(np.mean(errors**2)), errors.mean(), np.median(errors), errors.max()
         return cls(*(float(value) for value in values))
 
 
 @dataclass(frozen=True)
-class TrajectoryResult:
+class TrajectoryResult(Figures):
     """Errors of poses.
 
     Attributes
@@ -88,24 +85,19 @@ class TrajectoryResult:
     drift_deg: float
     parts: int
 
-    def as_dict(self) -> dict[str, Any]:
-        """All figures by name, ready for JSON; None replaces NaN."""
-        return dict(plain(asdict(self)))
-
     def table(self) -> Table:
         """A row for each kind of error."""
+        shown = {
+            "APE, position m": self.ape,
+            "RPE from sweep to sweep, m": self.rpe,
+            "RPE from sweep to sweep, deg": self.rpe_deg,
+        }
         rows = [
-            (name, *(number(value, 4) for value in asdict(errors).values()))
-            for name, errors in (
-                ("APE, position m", self.ape),
-                ("RPE from sweep to sweep, m", self.rpe),
-                ("RPE from sweep to sweep, deg", self.rpe_deg),
-            )
+            (name, *(number(value, 4) for value in astuple(errors)))
+            for name, errors in shown.items()
         ]
-        rows.append(("drift over 100 to 800 m, %", "-", number(self.drift, 4), "-", "-"))
-        rows.append(
-            ("drift over 100 to 800 m, deg/100 m", "-", number(self.drift_deg, 4), "-", "-")
-        )
+        for unit, drift in (("%", self.drift), ("deg/100 m", self.drift_deg)):
+            rows.append((f"drift over 100 to 800 m, {unit}", "-", number(drift, 4), "-", "-"))
         title = (
             f"trajectory: {self.poses} poses over {self.length:.0f} m, poses: {self.source}; "
             f"{self.parts} parts of 100 to 800 m"
