@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, overload
@@ -12,11 +13,13 @@ import numpy as np
 import scenes  # noqa: F401  adds its scenes
 import yaml
 from numpy.typing import NDArray
+from results import parser_of, publish
 
 from docdepth.config import Parameters
 from docdepth.datasets import CameraStream, open_dataset
 from docdepth.datasets.kitti_lidar import azimuth_relative_time
 from docdepth.errors import RunError
+from docdepth.evaluation import Table
 from docdepth.geometry.points import DYNAMIC, STATIC
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
@@ -170,8 +173,9 @@ class ExactDrive:
         return ExactLabels(classid, np.where(classid == DYNAMIC, instance, np.uint16(0)))
 
 
-def add_cell_arguments(parser: argparse.ArgumentParser, images: int) -> None:
-    """Arguments that choose cells: scenes, sensors, seed, length and images."""
+def cell_parser(doc: str | None, images: int) -> argparse.ArgumentParser:
+    """Arguments that choose cells: scenes, sensors, seed, length and images; and parameters."""
+    parser = parser_of(doc)
     parser.add_argument("drives", type=Path, help="folder of the drives; missing ones are made")
     parser.add_argument("--scenes", nargs="+", default=list(SUITE), choices=list(FRAMES))
     parser.add_argument("--sensors", nargs="+", choices=list(sensors()))
@@ -180,12 +184,33 @@ def add_cell_arguments(parser: argparse.ArgumentParser, images: int) -> None:
     parser.add_argument("--beam-width", type=float, default=0.0, help="of the LiDAR [deg]")
     parser.add_argument("--images", type=int, default=images, help="images per drive")
     parser.add_argument("--preset", default="default", choices=["default", "paper"])
+    parser.add_argument("--set", action="append", default=[], metavar="STAGE.NAME=VALUE")
+    parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the results")
     parser.add_argument("--threads", type=int, default=0, help="0 uses all cores")
+    return parser
 
 
-def cells_of(args: argparse.Namespace) -> Iterator[Cell]:
-    """Chosen cells, sensor by sensor."""
+Figures = TypeVar("Figures")
+
+
+def each_cell(
+    args: argparse.Namespace,
+    out: Path,
+    measure: Callable[[Cell], Figures],
+    table: Callable[[dict[str, Figures]], Table],
+) -> dict[str, Figures]:
+    """Measure the chosen cells, sensor by sensor; their table is written after each."""
+    found: dict[str, Figures] = {}
     for name in args.sensors:
         for street in args.scenes:
             frames = args.frames or FRAMES[street]
-            yield Cell(street, name, frames, args.seed, args.drives, args.beam_width)
+            cell = Cell(street, name, frames, args.seed, args.drives, args.beam_width)
+            found[cell.name] = measure(cell)
+            whole = table(found)
+            text = whole.markdown().encode()
+            write_atomically(out / "table.md", lambda stream, t=text: stream.write(t))
+            for line in whole.rows:
+                if line[0] == cell.name:
+                    print("  ".join(line), file=sys.stderr, flush=True)
+    publish([whole], args.results)
+    return found

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from results import add_results_argument, publish
+from results import parser_of, publish
 from scenes.endless import EndlessRecording
 
 from docdepth.cli import keep_memory, take_one_blas_thread
@@ -45,7 +45,7 @@ FIRST_MOVING_CLASS = 252  # of SemanticKITTI
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--frames", type=int, nargs="+", default=[250, 500, 1000, 2000])
     parser.add_argument("--sensor", default="VLP-16")
@@ -55,7 +55,6 @@ def main() -> None:
     parser.add_argument("--poses", choices=("exact", "estimated"), default="estimated")
     parser.add_argument("--stages", nargs="+", choices=STAGES, default=list(STAGES))
     parser.add_argument("--stage", choices=STAGES, help=argparse.SUPPRESS)
-    add_results_argument(parser)
     options = parser.parse_args()
     if options.stage:
         return run_stage(options)

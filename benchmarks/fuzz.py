@@ -9,7 +9,6 @@ each reader.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import re
@@ -22,7 +21,7 @@ import traceback
 import warnings
 from pathlib import Path
 
-from results import add_results_argument, publish
+from results import parser_of, publish
 
 MEMORY = 2 << 30  # bytes more than the readers and their libraries take
 SLOWEST = 2.0  # seconds of the processor for one file
@@ -43,7 +42,7 @@ def fuzz(name: str, out: Path, seconds: int) -> None:
     for folder in (finds, corpus):
         folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        for k, content in enumerate(reader.seeds(Path(folder))):
+        for k, content in enumerate(reader.contents(Path(folder))):
             (corpus / f"seed{k}").write_bytes(content)
     place = Path(tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
     file, known = place / reader.file, set[str]()
@@ -51,12 +50,13 @@ def fuzz(name: str, out: Path, seconds: int) -> None:
     def one(data: bytes) -> None:
         file.write_bytes(data)
         begun = time.process_time()
-        try:
-            reader.read(file)
-        except DocDepthError:
-            pass
-        except Exception as error:
-            keep(_kind(error), data, traceback.format_exc())
+        for read in reader.reads:
+            try:
+                read(file)
+            except DocDepthError:
+                pass
+            except Exception as error:
+                keep(_kind(error), data, traceback.format_exc())
         if (taken := time.process_time() - begun) > SLOWEST:
             keep("slow", data, f"{taken:.1f} s")
 
@@ -82,12 +82,11 @@ def _kind(error: BaseException) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("readers", nargs="*")
     parser.add_argument("--seconds", type=int, default=60, help="for each reader")
     parser.add_argument("--here", action="store_true", help="one reader, in this process")
-    add_results_argument(parser)
     given = parser.parse_args()
     if given.here:
         return fuzz(given.readers[0], given.out, given.seconds)

@@ -6,11 +6,10 @@ import io
 import struct
 import tempfile
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +22,6 @@ from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.pose_tables import poses_of_matrices, read_pose_table
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.datasets.times import read_times
-from docdepth.errors import DocDepthError
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
@@ -49,6 +47,31 @@ _FRAME = LidarFrame(
 )  # fmt: skip
 
 
+Seed = bytes | str | Callable[[Path], object]
+"""The content of a file, or what writes one to a path."""
+
+
+class Reader(NamedTuple):
+    """What is fuzzed: a file of this name, all that reads it, and contents to begin with."""
+
+    file: str
+    reads: Sequence[Callable[[Path], object]]
+    seeds: Sequence[Seed]
+
+    def contents(self, folder: Path) -> list[bytes]:
+        """The seeds as bytes; they are written in a folder."""
+        found = []
+        for k, seed in enumerate(self.seeds):
+            if callable(seed):
+                path = folder / f"seed{k}{Path(self.file).suffix}"
+                seed(path)
+                files = [path] if path.is_file() else path.glob(f"*{path.suffix}")
+                found += [file.read_bytes() for file in files]
+            else:
+                found.append(seed.encode() if isinstance(seed, str) else seed)
+        return found
+
+
 @cache
 def sample_run() -> Path:
     """A run of a tiny drive (tests/small_drive.py); its files are changed, too."""
@@ -58,57 +81,18 @@ def sample_run() -> Path:
     return run(write_small_drive(root / "drive"), root / "run", camera="image_2").path
 
 
-def _of_run(*names: str) -> Callable[[Path], list[bytes]]:
-    return lambda folder: [(sample_run() / name).read_bytes() for name in names]
-
-
-@dataclass(frozen=True)
-class Reader:
-    """What is fuzzed.
-
-    Attributes
-    ----------
-    name : str
-    file : str
-        Name of the file in a folder of its own.
-    read : callable
-        Reads the file; every error but one of docdepth is a find.
-    seeds : callable
-        Writes files into a folder and returns their contents.
-    """
-
-    name: str
-    file: str
-    read: Callable[[Path], object]
-    seeds: Callable[[Path], Sequence[bytes]]
-
-
-def _written(*writers: Callable[[Path], object]) -> Callable[[Path], list[bytes]]:
-    """Contents of files that these write."""
-
-    def seeds(folder: Path) -> list[bytes]:
-        contents = []
-        for k, write in enumerate(writers):
-            path = folder / f"seed{k}"
-            write(path)
-            contents.append(path.read_bytes())
-        return contents
-
-    return seeds
-
-
-def _texts(*texts: str) -> Callable[[Path], list[bytes]]:
-    return lambda folder: [text.encode() for text in texts]
-
-
-def _bytes(*contents: bytes) -> Callable[[Path], list[bytes]]:
-    return lambda folder: list(contents)
+def _of_run(name: str) -> Seed:
+    return lambda path: path.write_bytes((sample_run() / name).read_bytes())
 
 
 def _array(values: np.ndarray) -> bytes:
     stream = io.BytesIO()
     np.save(stream, values)
     return stream.getvalue()
+
+
+def _cloud(path: Path) -> object:
+    return read_cloud(path, str(path), RowFormat())
 
 
 # ---- point clouds
@@ -119,20 +103,18 @@ _PCD = (
 )
 
 
-def _pcd(folder: Path) -> list[bytes]:
+def _write_pcd(path: Path) -> None:
+    write_pcd(path, _POINTS, _POINTS[:, 0], np.array([0, 0, 0, 1.0, 0, 0, 0]))
+
+
+def _write_compressed_pcd(path: Path) -> None:
     import lzf
 
-    write_pcd(folder / "a.pcd", _POINTS, _POINTS[:, 0], np.array([0, 0, 0, 1.0, 0, 0, 0]))
+    _write_pcd(path)
     whole = np.zeros((6, 4), "<f4").tobytes()
     packed = lzf.compress(whole)
-    head = (folder / "a.pcd").read_bytes().split(b"DATA")[0] + b"DATA binary_compressed\n"
-    ascii_rows = "1 2 3 0.5 0\n4 5 6 0.25 0\n"
-    return [
-        (folder / "a.pcd").read_bytes(),
-        head + struct.pack("<II", len(packed), len(whole)) + packed,
-        (_PCD.format(pad=1, data="ascii") + ascii_rows).encode(),
-        _PCD.format(pad=0, data="binary").encode() + bytes(32),
-    ]
+    head = path.read_bytes().split(b"DATA")[0] + b"DATA binary_compressed\n"
+    path.write_bytes(head + struct.pack("<II", len(packed), len(whole)) + packed)
 
 
 _PLY_TEXT = (
@@ -145,47 +127,6 @@ _PLY_LISTS = (
     b"element vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
     b"\x01\0\0\0\x01\x02\0\0\0\x01\0\0\0\x02" + bytes(12)
 )
-
-
-def _ply(folder: Path) -> list[bytes]:
-    write_frame(folder / "f.ply", _FRAME)
-    write_ply_trajectory(folder / "t.ply", _TRAJECTORY, np.arange(3))
-    files = [(folder / name).read_bytes() for name in ("f.ply", "t.ply")]
-    return [*files, _PLY_TEXT.encode(), _PLY_LISTS]
-
-
-def _read_ply(path: Path) -> None:
-    for read in (
-        read_frame,
-        read_trajectory,
-        lambda p: read_cloud(p, str(p), RowFormat()),
-    ):
-        _tolerant(read, path)
-
-
-def _tolerant(read: Callable[[Path], object], path: Path) -> None:
-    """Read, whether an error of docdepth comes of it or not."""
-    with suppress(DocDepthError):
-        read(path)
-
-
-def _read_pcd(path: Path) -> None:
-    _tolerant(lambda p: read_viewpoint(p, 3), path)
-    _tolerant(lambda p: read_classes(p, 6, 3, lambda: np.arange(6)), path)
-    read_cloud(path, "sweep (frame 3)", RowFormat())
-
-
-def _read_bin(path: Path) -> None:
-    _tolerant(lambda p: kitti_files.read_sweep(p, 3), path)
-    read_cloud(path, "sweep (frame 3)", RowFormat())
-
-
-def _read_npy(path: Path) -> None:
-    for read in (
-        read_poses, read_depth, lambda p: read_classes(p, 6, 3),
-        lambda p: read_cloud(p, str(p), RowFormat()),
-    ):  # fmt: skip
-        _tolerant(read, path)
 
 
 # ---- fields of ROS messages
@@ -201,7 +142,8 @@ def _message_bytes(order: bool) -> bytes:
     return head + fields + bytes(64)
 
 
-def _read_message(path: Path) -> None:
+def _message(path: Path) -> tuple[SimpleNamespace, SimpleNamespace]:
+    """A cloud and an image with the fields and the data of a file."""
     data = path.read_bytes().ljust(_HEAD.size, b"\0")
     width, height, step, row, order, count = _HEAD.unpack_from(data)
     at, fields = _HEAD.size, []
@@ -210,35 +152,37 @@ def _read_message(path: Path) -> None:
         text = name.rstrip(b"\0").decode("latin-1")
         fields.append(SimpleNamespace(name=text, offset=offset, datatype=datatype, count=several))
         at += _FIELD.size
-    rest = np.frombuffer(data, np.uint8, offset=at)
-    cloud = SimpleNamespace(
-        fields=fields, is_bigendian=bool(order & 1), point_step=step, row_step=row, width=width,
-        height=height, data=rest,
-    )  # fmt: skip
-    read = ros_points.reader_of(ros_points.POINT_CLOUD)
-    _tolerant(lambda p: read(cloud, "a bag"), path)
+    common = {"width": width, "height": height, "data": np.frombuffer(data, np.uint8, offset=at)}
     encoding = list(ros_images._ENCODINGS)[order % len(ros_images._ENCODINGS)]
-    image = SimpleNamespace(
-        __msgtype__=ros_images.IMAGES[0], encoding=encoding, width=width, height=height, step=row,
-        data=rest,
+    return (
+        SimpleNamespace(
+            fields=fields, is_bigendian=bool(order & 1), point_step=step, row_step=row, **common
+        ),
+        SimpleNamespace(
+            __msgtype__=ros_images.IMAGES[0], encoding=encoding, step=row, **common
+        ),
     )  # fmt: skip
-    ros_images.decode_image(image, "a bag")
 
 
-def _bag(kind: str, suffix: str) -> Callable[[Path], list[bytes]]:
-    def seeds(folder: Path) -> list[bytes]:
+def _read_points(path: Path) -> None:
+    ros_points.reader_of(ros_points.POINT_CLOUD)(_message(path)[0], "a bag")
+
+
+def _read_image(path: Path) -> None:
+    ros_images.decode_image(_message(path)[1], "a bag")
+
+
+def _bag(kind: str) -> Seed:
+    def write(path: Path) -> None:
         from bags import BagWriter  # of tests/datasets
 
         rows = np.zeros(40, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u4")])
         rows["x"], rows["t"] = np.arange(40), np.arange(40) * 2_000_000
-        path = folder / f"bag{suffix}"
         with BagWriter(path, kind) as bag:
             for k in range(2):
                 bag.write("/points", bag.cloud(rows, k * 10**8), k * 10**8)
-        files = [path] if path.is_file() else sorted(path.glob(f"*{suffix}"))
-        return [file.read_bytes() for file in files]
 
-    return seeds
+    return write
 
 
 def _read_bag(path: Path) -> None:
@@ -250,16 +194,17 @@ def _read_bag(path: Path) -> None:
 # ---- calibration, poses, tables
 
 
-def _read_kitti(path: Path) -> None:
-    calibration = Calibration(path, "restore it")
-    for name in ("P2", "Tr"):
-        _tolerant(lambda p, name=name: calibration.matrix(name, 3, 4), path)
-    calibration.transform("Tr")
+def _read_calibration(path: Path) -> None:
+    extrinsics = "calib_lidar_ref_cam.txt"
+    (path.parent / extrinsics).write_bytes((sample_run() / extrinsics).read_bytes())
+    read_camera_calibration(path)
 
 
-def _read_poses(path: Path) -> None:
-    for read in (lambda p: read_poses(p, 3), read_timed_poses, read_times):
-        _tolerant(read, path)
+def _matrix(name: str) -> Callable[[Path], object]:
+    return lambda path: Calibration(path, "restore it").matrix(name, 3, 4)
+
+
+def _read_table(path: Path) -> None:
     _, rows = read_pose_table(path, (7, 12), "restore it")
     if rows.shape[1] == 12:
         poses_of_matrices(rows, path)
@@ -280,9 +225,9 @@ _CONFIG = (
 # ---- run folders
 
 
-def _read_run(path: Path) -> None:
-    _tolerant(read_config, path)
-    states(RunFolder.open(path.parent))
+_NOTES = tuple(f".docdepth/{name}" for name in (
+    "records/frames.jsonl", "records/run.jsonl", "stage_inputs.json", "inputs.json"
+))  # fmt: skip
 
 
 def _read_records(path: Path) -> None:
@@ -290,93 +235,83 @@ def _read_records(path: Path) -> None:
     from docdepth.pipeline.input_files import InputFiles
 
     content, root = path.read_bytes(), path.parent
-    notes = root / ".docdepth"
-    for name in ("records/frames.jsonl", "records/run.jsonl", "stage_inputs.json", "inputs.json"):
-        (notes / name).parent.mkdir(parents=True, exist_ok=True)
-        (notes / name).write_bytes(content)
+    for name in _NOTES:
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_bytes(content)
     (root / "run.yaml").write_bytes((sample_run() / "run.yaml").read_bytes())
     run = RunFolder.open(root)
     states(run)
-    InputFiles(run).changed()
+    InputFiles(run).changed("sweeps")
     for name in run.records(root / "frames").names():
         run.frame_key(0)
         run.records(root / "frames").state(name)
 
 
-def _rig(folder: Path) -> list[bytes]:
-    run = RunFolder(folder)
+def _write_rig(path: Path) -> None:
+    run = RunFolder(path.parent)
     run.write_sensors(SensorRig.single((0, 0, 1), 6), {})
-    depth = np.full((4, 6), 3.0, np.float32)
-    return [run.sensors_path.read_bytes(), encode_depth(depth, "npz")]
+    path.write_bytes(run.sensors_path.read_bytes())
 
 
-def _read_npz(path: Path) -> None:
-    _tolerant(read_depth, path)
-    content = path.read_bytes()
-    (path.parent / "sensors.npz").write_bytes(content)
+def _read_rig(path: Path) -> None:
+    (path.parent / "sensors.npz").write_bytes(path.read_bytes())
     run = RunFolder(path.parent)
     run.write_frame(0, _FRAME)
     run.frame(0)
 
 
-def _read_image(path: Path) -> None:
-    for suffix in (".png", ".tiff"):
+def _depth_as(suffix: str) -> Callable[[Path], object]:
+    def read(path: Path) -> None:
         other = path.with_suffix(suffix)
         other.write_bytes(path.read_bytes())
-        _tolerant(lambda p: read_depth(p, 256.0), other)
+        read_depth(other, 256.0)
+
+    return read
 
 
-def _labels(folder: Path) -> list[bytes]:
-    classes = np.array([0, 50, 100, 9, 251, 40], np.uint16)
-    return [_array(classes), _array(classes > 99), _array(_POSES), _array(np.ones((6, 4), "<f4"))]
-
+_CLASSES = np.array([0, 50, 100, 9, 251, 40], np.uint16)
 
 READERS = {
-    reader.name: reader
-    for reader in (
-        Reader("ply", "a.ply", _read_ply, _ply),
-        Reader("pcd", "a.pcd", _read_pcd, _pcd),
-        Reader("bin", "a.bin", _read_bin, _bytes(np.ones((6, 4), "<f4").tobytes())),
-        Reader("npy", "a.npy", _read_npy, _labels),
-        Reader("npz", "a.npz", _read_npz, _rig),
-        Reader(
-            "label", "a.label", lambda p: read_classes(p, 6, 3),
-            _bytes(np.array([9, 251, 40, 1, 0, 1 << 16], "<u4").tobytes()),
-        ),
-        Reader(
-            "poses", "poses.txt", _read_poses,
-            lambda folder: [
-                *_written(
-                    lambda p: write_tum(p, _TRAJECTORY), lambda p: write_kitti(p, _POSES)
-                )(folder),
-                _TIMES.encode(), _TABLE.encode(),
-            ],
-        ),
-        Reader("calib.json", "calib.json", read_camera_calibration, _of_run("calib.json")),
-        Reader(
-            "calib.txt", "calib.txt", _read_kitti,
-            _texts("P2: 60 0 48 -30 0 60 20 0 0 0 1 0\nTr: 0 -1 0 0.02 0 0 -1 -0.06 1 0 0 -0.3\n"),
-        ),
-        Reader("tracks", "tracks.csv", read_tracks, _of_run("tracks.csv")),
-        Reader(
-            "docdepth.yaml", "docdepth.yaml", lambda p: read_settings(p.parent, RecordingSettings),
-            _texts(_SETTINGS),
-        ),
-        Reader("parameters", "settings.yaml", read_config, _texts(_CONFIG)),
-        Reader("run.yaml", "run.yaml", _read_run, _of_run("run.yaml")),
-        Reader(
-            "records", "content", _read_records,
-            _of_run(*(f".docdepth/{name}" for name in (
-                "records/frames.jsonl", "records/run.jsonl", "stage_inputs.json", "inputs.json"
-            ))),
-        ),
-        Reader(
-            "message", "message", _read_message,
-            _bytes(_message_bytes(False), _message_bytes(True)),
-        ),
-        Reader("ros1", "a.bag", _read_bag, _bag("ros1", ".bag")),
-        Reader("mcap", "a.mcap", _read_bag, _bag("mcap", ".mcap")),
-        Reader("depth", "a.img", _read_image, _of_run("depth/000001.png")),
-    )
+    "ply": Reader("a.ply", [read_frame, read_trajectory, _cloud], [
+        lambda p: write_frame(p, _FRAME),
+        lambda p: write_ply_trajectory(p, _TRAJECTORY, np.arange(3)), _PLY_TEXT, _PLY_LISTS,
+    ]),
+    "pcd": Reader("a.pcd", [
+        lambda p: read_viewpoint(p, 3), lambda p: read_classes(p, 6, 3, lambda: np.arange(6)),
+        _cloud,
+    ], [
+        _write_pcd, _write_compressed_pcd,
+        _PCD.format(pad=1, data="ascii") + "1 2 3 0.5 0\n4 5 6 0.25 0\n",
+        _PCD.format(pad=0, data="binary").encode() + bytes(32),
+    ]),
+    "bin": Reader("a.bin", [lambda p: kitti_files.read_sweep(p, 3), _cloud],
+                  [np.ones((6, 4), "<f4").tobytes()]),
+    "npy": Reader("a.npy", [read_poses, read_depth, lambda p: read_classes(p, 6, 3), _cloud], [
+        _array(a) for a in (_CLASSES, _CLASSES > 99, _POSES, np.ones((6, 4), "<f4"))
+    ]),
+    "npz": Reader("a.npz", [read_depth, _read_rig],
+                  [_write_rig, encode_depth(np.full((4, 6), 3.0, np.float32), "npz")]),
+    "label": Reader("a.label", [lambda p: read_classes(p, 6, 3)],
+                    [np.array([9, 251, 40, 1, 0, 1 << 16], "<u4").tobytes()]),
+    "poses": Reader("poses.txt", [
+        lambda p: read_poses(p, 3), read_timed_poses, read_times, _read_table
+    ], [lambda p: write_tum(p, _TRAJECTORY), lambda p: write_kitti(p, _POSES), _TIMES, _TABLE]),
+    "calib.json": Reader("calib.json", [_read_calibration], [_of_run("calib.json")]),
+    "calib.txt": Reader("calib.txt", [
+        _matrix("P2"), _matrix("Tr"), lambda p: Calibration(p, "restore it").transform("Tr")
+    ], ["P2: 60 0 48 -30 0 60 20 0 0 0 1 0\nTr: 0 -1 0 0.02 0 0 -1 -0.06 1 0 0 -0.3\n"]),
+    "tracks": Reader("tracks.csv", [read_tracks], [_of_run("tracks.csv")]),
+    "docdepth.yaml": Reader("docdepth.yaml", [
+        lambda p: read_settings(p.parent, RecordingSettings)
+    ], [_SETTINGS]),
+    "parameters": Reader("settings.yaml", [read_config], [_CONFIG]),
+    "run.yaml": Reader("run.yaml", [read_config, lambda p: states(RunFolder.open(p.parent))],
+                       [_of_run("run.yaml")]),
+    "records": Reader("content", [_read_records], [_of_run(name) for name in _NOTES]),
+    "message": Reader("message", [_read_points, _read_image],
+                      [_message_bytes(False), _message_bytes(True)]),
+    "ros1": Reader("a.bag", [_read_bag], [_bag("ros1")]),
+    "mcap": Reader("a.mcap", [_read_bag], [_bag("mcap")]),
+    "depth": Reader("a.img", [_depth_as(".png"), _depth_as(".tiff")],
+                    [_of_run("depth/000001.png")]),
 }  # fmt: skip
-"""By name."""

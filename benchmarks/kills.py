@@ -8,7 +8,6 @@ the second did more often was computed twice.
 
 from __future__ import annotations
 
-import argparse
 import functools
 import json
 import os
@@ -23,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from compare_runs import differences
-from results import add_results_argument, publish
+from results import parser_of, publish
 
 PARTS = ("traj_odometry.ply", "tracks.csv", "calib.json", "traj_camera.ply", "tracks_kitti.txt")
 """Results beside frames, labels and depth maps."""
@@ -138,14 +137,13 @@ def _other_differences(run: Path, other: Path) -> list[str]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument("drive", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--log", type=Path, help="make the run itself, and count its steps here")
-    add_results_argument(parser)
     given = parser.parse_args()
     if given.log:
         from docdepth.pipeline.run import run

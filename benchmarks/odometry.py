@@ -11,7 +11,6 @@ arrive. ``--lost`` leaves out sweeps in the middle, without a gap in the stamps.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import scenes  # noqa: F401  adds its scenes
-from results import add_results_argument, publish
+from results import parser_of, publish
 
 from docdepth.datasets import Sweep, open_dataset
 from docdepth.evaluation.tables import Table, number
@@ -53,14 +52,13 @@ class Disturbed:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("drives", type=Path)
     parser.add_argument("--cells", nargs="+", default=list(CELLS), metavar="SCENE:SENSOR")
     parser.add_argument("--seeds", type=int, nargs="+", default=[3, 4])
     parser.add_argument("--frames", type=int, default=50)
     parser.add_argument("--late", type=float, default=0, help="error of the stamps [ms]")
     parser.add_argument("--lost", type=int, default=0, help="sweeps lost in the middle")
-    add_results_argument(parser)
     options = parser.parse_args()
     rows = []
     for cell in options.cells:

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 import two_lidars
-from results import add_results_argument, publish
+from results import parser_of, publish, script
 
 from docdepth import run
 from docdepth.config import parameters
@@ -247,7 +247,7 @@ TABLES = {"labels": labels, "ablation": ablation, "completion": completion, "cos
 
 def main(arguments: Sequence[str] | None = None) -> Table | None:
     """Print a table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("table", choices=[*TABLES, "lidars"])
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of runs and drives")
     parser.add_argument("--data", type=Path, nargs="+", help="the data set; else a stand-in")
@@ -256,7 +256,6 @@ def main(arguments: Sequence[str] | None = None) -> Table | None:
     parser.add_argument("--frames", type=int, help="sweeps of a stand-in")
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--threads", type=int, default=0)
-    add_results_argument(parser)
     args = parser.parse_args(arguments)
     if args.table == "completion" and args.data and not args.raw:
         parser.error("completion needs --raw KITTI_RAW beside --data ANNOTATED")
@@ -271,7 +270,4 @@ def main(arguments: Sequence[str] | None = None) -> Table | None:
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except DocDepthError as error:
-        sys.exit(str(error))
+    script(main)

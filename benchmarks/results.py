@@ -12,7 +12,7 @@ import os
 import shlex
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,11 +33,23 @@ was measured. [Accuracy](../docs/accuracy.md) explains the figures and says what
 """
 
 
-def add_results_argument(parser: argparse.ArgumentParser) -> None:
-    """Add ``--results FILE`` to a benchmark."""
+def parser_of(doc: str | None) -> argparse.ArgumentParser:
+    """A parser of a benchmark with this docstring, which takes ``--results FILE``."""
+    parser = argparse.ArgumentParser(description=(doc or "").splitlines()[0])
     parser.add_argument(
         "--results", type=Path, metavar="FILE", help="store the tables, for RESULTS.md"
     )
+    return parser
+
+
+def script(main: Callable[[], object]) -> None:
+    """Run a benchmark; an error of docdepth ends it with its sentence."""
+    from docdepth.errors import DocDepthError
+
+    try:
+        main()
+    except DocDepthError as error:
+        sys.exit(str(error))
 
 
 def publish(tables: Sequence[Table], file: Path | None) -> None:

@@ -22,24 +22,20 @@ another -o.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
-import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from cells import Cell, ExactDrive, add_cell_arguments, cells_of
+from cells import Cell, ExactDrive, cell_parser, each_cell
 from ip_basic import ip_basic
 from numpy.typing import NDArray
-from results import add_results_argument, publish
+from results import script
 
 from docdepth._core import __version__
 from docdepth.config import Parameters, parameters, parse_settings
-from docdepth.errors import DocDepthError
 from docdepth.evaluation import DepthEvaluation, Table, label_counts, moving
 from docdepth.evaluation import depth as depth_evaluation
 from docdepth.evaluation.pixels import project
@@ -49,6 +45,7 @@ from docdepth.io.atomic import write_atomically
 from docdepth.io.run_folder import stage_key
 from docdepth.render.scene import Scene, render_depth
 from docdepth.tuning import Judge, Trial, read_trials, tune
+from docdepth.tuning.results import metric_of
 
 
 def _splats(share: float) -> dict[str, Any]:
@@ -78,17 +75,9 @@ def label_rows(
     cell: Cell, trials: list[Trial], out: Path, jobs: int, threads: int
 ) -> dict[str, Row]:
     """Metrics of the classes of each trial."""
-    run, sequence = cell.run(), cell.sequence()
-    judge = Judge("labels", sequence)
+    run, judge = cell.run(), Judge("labels", cell.sequence())
     outcomes = tune([run.path], [judge], trials, out / cell.name, jobs, threads)
-    rows = {}
-    for outcome in outcomes:
-        row = {name: outcome.metric(name) for name in ("sa", "da", "f1", "precision", "iou")}
-        for name in ("temporarily_static", "seen_to_move", "arrived", "departs"):
-            points, da = outcome.metrics[name]["points"], outcome.metrics[name]["da"]
-            row |= {name: math.nan if da is None else da, f"{name}_points": points or math.nan}
-        rows[outcome.name] = row
-    return rows
+    return {outcome.name: _row(outcome.metrics, LABEL_COLUMNS) for outcome in outcomes}
 
 
 def depth_rows(
@@ -116,7 +105,7 @@ def depth_rows(
         for name, metrics in _compare(exact, methods, images).items():
             content = json.dumps({"key": keys[name], "metrics": metrics}, indent=1).encode()
             write_atomically(paths[name], lambda stream, c=content: stream.write(c))
-            rows[name] = _depth_row(metrics)
+            rows[name] = _row(metrics, DEPTH_COLUMNS)
     return {name: rows[name] for name in settings}
 
 
@@ -155,27 +144,22 @@ def _parameters(trial: Trial) -> Parameters:
 
 def _stored(path: Path, key: str) -> Row | None:
     found = json.loads(path.read_text()) if path.is_file() else {}
-    return _depth_row(found["metrics"]) if found.get("key") == key else None
+    return _row(found["metrics"], DEPTH_COLUMNS) if found.get("key") == key else None
 
 
-def _depth_row(metrics: dict[str, Any]) -> Row:
-    everywhere, interior, dynamic = (metrics[region] for region in ("all", "interior", "dynamic"))
-    row = {"density": metrics["density_on_surfaces"], "mae": everywhere["mae"]}
-    row |= {name: everywhere[name] for name in ("shifts", "too_near", "too_far")}
-    row |= {"interior_mae": interior["mae"], "interior_rmse": interior["rmse"]}
-    row |= {"moving_density": dynamic["density"], "moving_shifts": dynamic["shifts"]}
-    row["moving_rmse"] = metrics.get("dynamic_interior", {}).get("rmse")
-    return {name: math.nan if value is None else value for name, value in row.items()}
-
-
-@dataclass(frozen=True)
-class Column:
-    """A metric of a table: its name in a row, its heading, and which direction is better."""
+class Column(NamedTuple):
+    """A metric of a table: its dotted name, its heading, and which direction is better."""
 
     key: str
     heading: str
     digits: int
     better: int = 1  # 1: larger is better, -1: smaller is better
+
+
+def _row(metrics: dict[str, Any], columns: list[Column]) -> Row:
+    """Metrics of a table; no points at all are none."""
+    row = {column.key: metric_of(metrics, column.key) for column in columns}
+    return {key: v if v or not key.endswith(".points") else math.nan for key, v in row.items()}
 
 
 LABEL_COLUMNS = [
@@ -184,26 +168,24 @@ LABEL_COLUMNS = [
     Column("f1", "F1", 4),
     Column("precision", "precision", 4),
     Column("iou", "IoU", 4),
-    Column("temporarily_static", "temporarily static: DA %", 1),
-    Column("temporarily_static_points", "of points", 0),
-    Column("seen_to_move", "travel in view: DA %", 1),
-    Column("seen_to_move_points", "of points", 0),
-    Column("arrived", "arrived: DA %", 1),
-    Column("arrived_points", "of points", 0),
-    Column("departs", "depart: DA %", 1),
-    Column("departs_points", "of points", 0),
 ]
+for _key, _heading in (
+    ("temporarily_static", "temporarily static"), ("seen_to_move", "travel in view"),
+    ("arrived", "arrived"), ("departs", "depart"),
+):  # fmt: skip
+    LABEL_COLUMNS.append(Column(f"{_key}.da", f"{_heading}: DA %", 1))
+    LABEL_COLUMNS.append(Column(f"{_key}.points", "of points", 0))
 DEPTH_COLUMNS = [
-    Column("density", "density on surfaces %", 1),
-    Column("mae", "MAE m", 3, -1),
-    Column("shifts", "MAE in shifts", 2, -1),
-    Column("too_near", "too near %", 2, -1),
-    Column("too_far", "too far %", 2, -1),
-    Column("interior_mae", "interior MAE m", 3, -1),
-    Column("interior_rmse", "interior RMSE m", 3, -1),
-    Column("moving_density", "moving: density %", 1),
-    Column("moving_shifts", "moving: MAE in shifts", 2, -1),
-    Column("moving_rmse", "moving: interior RMSE m", 3, -1),
+    Column("density_on_surfaces", "density on surfaces %", 1),
+    Column("all.mae", "MAE m", 3, -1),
+    Column("all.shifts", "MAE in shifts", 2, -1),
+    Column("all.too_near", "too near %", 2, -1),
+    Column("all.too_far", "too far %", 2, -1),
+    Column("interior.mae", "interior MAE m", 3, -1),
+    Column("interior.rmse", "interior RMSE m", 3, -1),
+    Column("dynamic.density", "moving: density %", 1),
+    Column("dynamic.shifts", "moving: MAE in shifts", 2, -1),
+    Column("dynamic_interior.rmse", "moving: interior RMSE m", 3, -1),
 ]
 
 
@@ -232,50 +214,35 @@ def table(
     return Table(title, ("cell", "trial", *(c.heading for c in columns)), tuple(lines), note)
 
 
-def _arguments(arguments: list[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    add_cell_arguments(parser, images=20)
-    parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the results")
+def main(arguments: list[str] | None = None) -> dict[str, dict[str, Row]]:
+    parser = cell_parser(__doc__, images=20)
     parser.add_argument("--depth", action="store_true", help="depth instead of classes")
     parser.add_argument("--own", action="store_true", help="depth, by own classes and tracks")
-    parser.add_argument("--set", action="append", default=[], metavar="STAGE.NAME=VALUE")
     parser.add_argument("--trials", type=Path, help="YAML, NAME: {stage.parameter: value}")
     parser.add_argument("--jobs", type=int, default=1, help="trials of a cell at a time")
-    add_results_argument(parser)
     args = parser.parse_args(arguments)
     args.depth |= args.own
     if not args.sensors:
         args.sensors = ["HDL-64", "OS1-128", "XT-32"] + ["VLP-16", "Avia"] * (not args.depth)
-    return args
-
-
-def main(arguments: list[str] | None = None) -> dict[str, dict[str, Row]]:
-    args = _arguments(arguments)
     trials = DEPTH_TRIALS if args.depth and not args.own else DEFAULT_ALONE
     trials = read_trials(args.trials) if args.trials else trials
     common = {"preset": args.preset, **parse_settings(args.set)}
     trials = [Trial(trial.name, {**common, **trial.settings}) for trial in trials]
     kind = ("depth-own" if args.own else "depth") if args.depth else "labels"
-    out = args.out / kind / f"seed{args.seed}"
-    columns = DEPTH_COLUMNS if args.depth else LABEL_COLUMNS
-    note = depth_evaluation.NOTE if args.depth else label_counts.NOTE
-    cells: dict[str, dict[str, Row]] = {}
-    for cell in cells_of(args):
+    out, title = args.out / kind / f"seed{args.seed}", f"{kind}, seed {args.seed}, exact poses"
+
+    def measure(cell: Cell) -> dict[str, Row]:
         if args.depth:
-            cells[cell.name] = depth_rows(cell, trials, out, args.images, args.threads, args.own)
-        else:
-            cells[cell.name] = label_rows(cell, trials, out, args.jobs, args.threads)
-        whole = table(f"{kind}, seed {args.seed}, exact poses", columns, cells, note)
-        text = whole.markdown().encode()
-        write_atomically(out / "table.md", lambda stream, t=text: stream.write(t))
-        for line in whole.rows[-len(cells[cell.name]) :]:
-            print("  ".join(line), file=sys.stderr, flush=True)
-    publish([whole], args.results)
-    return cells
+            return depth_rows(cell, trials, out, args.images, args.threads, args.own)
+        return label_rows(cell, trials, out, args.jobs, args.threads)
+
+    def whole(cells: dict[str, dict[str, Row]]) -> Table:
+        if args.depth:
+            return table(title, DEPTH_COLUMNS, cells, depth_evaluation.NOTE)
+        return table(title, LABEL_COLUMNS, cells, label_counts.NOTE)
+
+    return each_cell(args, out, measure, whole)
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except DocDepthError as error:
-        sys.exit(str(error))
+    script(main)

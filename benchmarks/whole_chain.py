@@ -10,15 +10,13 @@ continued; drives that are missing are made.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
 from cells import FRAMES, SUITE
-from results import add_results_argument, publish
+from results import parser_of, publish, script
 
 from docdepth import run
-from docdepth.errors import DocDepthError
 from docdepth.evaluation.runs import evaluate_depth, evaluate_labels
 from docdepth.evaluation.tables import Table, number
 from docdepth.evaluation.trajectories import evaluate_trajectories
@@ -51,14 +49,13 @@ def measured(drive: Path, made: Path, exact_poses: bool) -> tuple[str, ...]:
 
 def main() -> None:
     """Print a table, a row for each cell."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = parser_of(__doc__)
     parser.add_argument("drives", type=Path, help="folder of the drives; missing ones are made")
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the runs")
     parser.add_argument("--scenes", nargs="+", default=list(SUITE), choices=list(FRAMES))
     parser.add_argument("--sensors", nargs="+", default=list(sensors()), choices=list(sensors()))
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--poses", action="store_true", help="exact poses instead of odometry")
-    add_results_argument(parser)
     args = parser.parse_args()
     rows = []
     for sensor in args.sensors:
@@ -74,7 +71,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except DocDepthError as error:
-        sys.exit(str(error))
+    script(main)

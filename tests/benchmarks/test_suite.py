@@ -93,12 +93,14 @@ def test_suite_of_two_tiny_cells(tmp_path, monkeypatch) -> None:
     depth = suite.main([*tiny, "--depth", "--images", "1"])
     for rows in depth.values():
         assert set(rows) == {t.name for t in suite.DEPTH_TRIALS} | {suite.IP_BASIC}
-        assert rows["default"]["shifts"] < rows[suite.IP_BASIC]["shifts"]
+        assert rows["default"]["all.shifts"] < rows[suite.IP_BASIC]["all.shifts"]
     own = suite.main([*tiny, "--own", "--images", "1"])
     for cell, rows in own.items():
         assert set(rows) == {"default"}
         # What stands is drawn from the same points, whatever else the classes say.
-        assert rows["default"]["shifts"] == pytest.approx(depth[cell]["default"]["shifts"], abs=0.2)
+        assert rows["default"]["all.shifts"] == pytest.approx(
+            depth[cell]["default"]["all.shifts"], abs=0.2
+        )
         assert rows["default"] != depth[cell]["default"]
     # Nothing is computed again: not even the scene is built.
     monkeypatch.setattr(cells, "Drive", None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,10 +60,15 @@ class Outcome:
 
     def metric(self, name: str) -> float:
         """A metric by dotted name (``all.mae``); NaN where it is undefined."""
-        value: Any = self.metrics
-        for part in name.split("."):
-            value = value.get(part) if isinstance(value, dict) else None
-        return math.nan if value is None else float(value)
+        return metric_of(self.metrics, name)
+
+
+def metric_of(metrics: Mapping[str, Any], name: str) -> float:
+    """A metric by dotted name (``all.mae``); NaN where it is undefined."""
+    value: Any = metrics
+    for part in name.split("."):
+        value = value.get(part) if isinstance(value, dict) else None
+    return math.nan if value is None else float(value)
 
 
 def means(outcomes: Sequence[Outcome]) -> list[Outcome]:
