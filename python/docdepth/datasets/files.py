@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import threading
 import warnings
+import weakref
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import cv2
 import numpy as np
@@ -15,6 +19,7 @@ from docdepth.errors import CalibrationError, DatasetError, MissingExtraError
 from docdepth.io.images import decode_image
 from docdepth.io.yaml_json import parse_json
 
+_Opened = TypeVar("_Opened")
 FILE = "docdepth.yaml"
 """What the files of a recording do not tell."""
 
@@ -149,3 +154,34 @@ def extra(module: str, what: str, name: str) -> Any:
             return import_module(module)
     except ImportError:
         raise MissingExtraError(f"{what}: pip install 'docdepth[{name}]'") from None
+
+
+class OpenedOnce(Generic[_Opened]):
+    """What a function opens: once in each process, for one thread at a time, by ``with``.
+
+    Parameters
+    ----------
+    open : callable
+        A function of a module, or a partial of one: another process gets it and opens anew.
+    """
+
+    def __init__(self, open: Callable[[], _Opened]) -> None:
+        self._open, self._lock, self._by = open, threading.RLock(), 0
+
+    def __reduce__(self) -> tuple[type[OpenedOnce[_Opened]], tuple[Callable[[], _Opened]]]:
+        return OpenedOnce, (self._open,)
+
+    def __enter__(self) -> _Opened:
+        self._lock.acquire()
+        try:
+            if self._by != os.getpid():
+                self._value, self._by = self._open(), os.getpid()
+                if hasattr(self._value, "close"):
+                    weakref.finalize(self, self._value.close)
+            return self._value
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()

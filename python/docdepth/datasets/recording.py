@@ -200,7 +200,7 @@ class Recording(DatasetRepr):
         found = [
             None if labels is None else labels[piece.rows]
             for piece in reader.pieces(index)
-            for labels in [self._measured_labels(piece.index, reader.measured)]
+            for labels in [self._measured_labels(piece.own, reader.measured)]
         ]
         if len(self._readers) > 1 and joined_columns(found) is not None:
             raise DatasetError(

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import threading
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import LidarStream
 from docdepth.datasets.cloud import Cloud, LidarReader
+from docdepth.datasets.files import OpenedOnce
 from docdepth.datasets.point_times import LONGEST, PointTimes, TimeSample
 from docdepth.datasets.pose_tables import continue_ends
 from docdepth.errors import DatasetError
@@ -24,19 +25,13 @@ _LEAST = 0.5  # of the duration that measured sweeps must cover; a rest is no sw
 _KEPT = 4  # clouds beyond those of one sweep that stay in memory for the next one
 
 
-@dataclass(frozen=True)
-class Piece:
-    """Rows of a measured sweep that belong to a joined one.
+class Piece(NamedTuple):
+    """Rows (n,) of measured sweep ``own`` that belong to a joined one."""
 
-    Attributes
-    ----------
-    index : int
-        Of the measured sweep.
-    rows : ndarray of int64, shape (n,)
-    """
-
-    index: int
+    own: int
     rows: NDArray[np.int64]
+    cloud: Cloud
+    times: NDArray[np.int64]
 
 
 @dataclass
@@ -62,15 +57,9 @@ class ResampledLidar:
     point_times: PointTimes
     starts: NDArray[np.int64]
     duration: int
-    _clouds: OrderedDict[int, tuple[Cloud, NDArray[np.int64]]] = field(default_factory=OrderedDict)
-    _lock: Any = field(default_factory=threading.Lock)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_lock": None, "_clouds": OrderedDict()}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._lock = threading.Lock()
+    _clouds: OpenedOnce[OrderedDict[int, tuple[Cloud, NDArray[np.int64]]]] = field(
+        default_factory=partial(OpenedOnce, OrderedDict)
+    )
 
     def span(self) -> tuple[int, int]:
         """Nanoseconds from the stamp to the first and the last point, of a few sweeps."""
@@ -90,10 +79,9 @@ class ResampledLidar:
     def read(self, index: int) -> Cloud:
         """Sweep ``index``; times of its points are nanoseconds on the clock of the stamps."""
         clouds, times, no_rows = [], [], np.zeros(0, np.int64)
-        for piece, cloud, own in self._pieces(index):
-            rows = piece.rows
-            clouds.append(_part_of(cloud, rows))
-            times.append(own[rows])
+        for piece in self.pieces(index):
+            clouds.append(_part_of(piece.cloud, piece.rows))
+            times.append(piece.times[piece.rows])
         if not clouds:  # a LiDAR beside the first one may pause
             nearest = int(np.abs(self.measured.stream.times - self.starts[index]).argmin())
             clouds, times = [_part_of(self._read(nearest, _KEPT)[0], no_rows)], [no_rows]
@@ -103,10 +91,6 @@ class ResampledLidar:
             joined_columns([cloud.ring for cloud in clouds]),
             np.concatenate(times),
         )
-
-    def pieces(self, index: int) -> list[Piece]:
-        """The measured sweeps that sweep ``index`` is made of."""
-        return [piece for piece, _, _ in self._pieces(index)]
 
     def files(self, index: int) -> list[Path]:
         """The files of all sweeps that may hold points of it."""
@@ -120,29 +104,30 @@ class ResampledLidar:
         first = int(np.searchsorted(stamps, start - reach))
         return range(first, int(np.searchsorted(stamps, start + self.duration + reach, "right")))
 
-    def _pieces(self, index: int) -> list[tuple[Piece, Cloud, NDArray[np.int64]]]:
+    def pieces(self, index: int) -> list[Piece]:
+        """The measured sweeps that sweep ``index`` is made of, and nanoseconds of their points."""
         start, found = int(self.starts[index]), []
         near = self._near(index)
         for own in near:
             cloud, times = self._read(own, len(near) + _KEPT)
             rows = np.flatnonzero((times >= start) & (times < start + self.duration))
             if len(rows):
-                found.append((Piece(own, rows), cloud, times))
+                found.append(Piece(own, rows, cloud, times))
         return found
 
     def _read(self, own: int, most: int) -> tuple[Cloud, NDArray[np.int64]]:
         """A measured sweep, and nanoseconds of its points; sweeps in turn share most of them."""
-        with self._lock:
-            if own in self._clouds:
-                self._clouds.move_to_end(own)
-                return self._clouds[own]
+        with self._clouds as clouds:
+            if own in clouds:
+                clouds.move_to_end(own)
+                return clouds[own]
         cloud = self.measured.read(own)
         stamp = int(self.measured.stream.times[own])
         times = stamp + self._late(cloud, stamp, own)
-        with self._lock:
-            self._clouds[own] = cloud, times
-            while len(self._clouds) > most:
-                self._clouds.popitem(last=False)
+        with self._clouds as clouds:
+            clouds[own] = cloud, times
+            while len(clouds) > most:
+                clouds.popitem(last=False)
         return cloud, times
 
     def _late(self, cloud: Cloud, stamp: int, own: int) -> NDArray[np.int64]:

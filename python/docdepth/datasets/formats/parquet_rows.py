@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import threading
-from importlib import import_module
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from docdepth.datasets.files import extra, unreadable
+from docdepth.datasets.files import OpenedOnce, extra, unreadable
 from docdepth.errors import DatasetError
 
 Key = tuple[int, ...]
@@ -40,8 +39,7 @@ class ParquetRows:
 
     def __init__(self, file: Path, keys: tuple[str, ...], remedy: str) -> None:
         self.file, self._remedy = file, remedy
-        self._lock = threading.Lock()
-        self._opened: Any = None
+        self._opened: OpenedOnce[Any] = OpenedOnce(partial(_open, file))
         self._group: tuple[int, tuple[str, ...], Any] | None = None
         self.rows: dict[Key, tuple[int, int]] = {}
         for group in range(self._call(lambda parquet: parquet.num_row_groups, str(file))):
@@ -52,11 +50,7 @@ class ParquetRows:
         self._group = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_lock": None, "_opened": None, "_group": None}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._lock = threading.Lock()
+        return {**self.__dict__, "_group": None}
 
     def read(self, key: Key, columns: tuple[str, ...], where: str) -> list[Any]:
         """Values of the columns in a row, as scalars of pyarrow.
@@ -71,10 +65,7 @@ class ParquetRows:
         if key not in self.rows:
             raise DatasetError(f"{where}: the file has no such row; {self._remedy}")
         group, row = self.rows[key]
-        with self._lock:
-            if self._group is None or self._group[:2] != (group, columns):
-                self._group = group, columns, self._read_group(group, columns, where)
-            table = self._group[2]
+        table = self._read_group(group, columns, where)
         return [table[name][row] for name in columns]
 
     def _read_group(self, group: int, columns: tuple[str, ...], where: str) -> Any:
@@ -82,21 +73,27 @@ class ParquetRows:
             lacking = [name for name in columns if name not in parquet.schema_arrow.names]
             if lacking:
                 raise DatasetError(f"{where} has no column {lacking[0]}; {self._remedy}")
-            return parquet.read_row_group(group, columns=list(columns))
+            if self._group is None or self._group[:2] != (group, columns):
+                self._group = group, columns, parquet.read_row_group(group, columns=list(columns))
+            return self._group[2]
 
         return self._call(read, where)
 
     def _call(self, function: Any, where: str) -> Any:
-        """A result of the opened file; the lock is held, or no one else has the object."""
-        parquet = extra("pyarrow.parquet", "Parquet files need pyarrow", "argoverse")
-        pyarrow = import_module("pyarrow")
+        """A result of the opened file."""
+        pyarrow = extra("pyarrow", "Parquet files need pyarrow", "argoverse")
         if not self.file.is_file():
             raise unreadable(self.file, self._remedy)
         try:
-            if self._opened is None:
-                self._opened = parquet.ParquetFile(self.file)
-            return function(self._opened)
+            with self._opened as parquet:
+                return function(parquet)
         except (pyarrow.ArrowException, OSError) as error:
             raise DatasetError(
                 f"{where} is no whole Parquet file ({error}); {self._remedy}"
             ) from None
+
+
+def _open(file: Path) -> Any:
+    from pyarrow import parquet
+
+    return parquet.ParquetFile(file)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, ImageStream
 from docdepth.datasets.formats.bag.bag_file import BagFile, Message
-from docdepth.datasets.formats.bag.ros_frames import StaticFrames
+from docdepth.datasets.formats.bag.opened_bag import OpenedBag
 from docdepth.datasets.formats.bag.ros_images import (
     CAMERA_INFO,
     camera_of,
@@ -62,117 +61,101 @@ def _shortened(topic: str) -> str:
     return "_".join(parts)
 
 
-@dataclass(frozen=True)
-class BagRig:
-    """What the cameras of a bag have in common.
+def open_camera(
+    opened: OpenedBag,
+    name: str,
+    topic: str,
+    messages: list[Message],
+    times: NDArray[np.int64],
+    lidar_frame: str,
+) -> CameraStream | ImageStream | None:
+    """A camera; its images alone, with a warning, where the bag does not tell what it takes.
 
-    Attributes
+    None for a topic that holds no photos. What the user says of a camera wins over the bag.
+
+    Parameters
     ----------
-    bag : BagFile
-    frames : StaticFrames
+    opened : OpenedBag
+    name, topic : str
+    messages : list of Message
+        In the order of their stamps.
+    times : ndarray of int64, shape (m,)
+        Nanoseconds of each image.
     lidar_frame : str
         Frame of the points.
-    file : Path
-        Where settings stand or would stand.
     """
-
-    bag: BagFile
-    frames: StaticFrames
-    lidar_frame: str
-    file: Path
-
-    def open_camera(
-        self,
-        name: str,
-        topic: str,
-        messages: list[Message],
-        times: NDArray[np.int64],
-        settings: CameraSettings | None,
-    ) -> CameraStream | ImageStream | None:
-        """A camera; its images alone, with a warning, where the bag does not tell what it takes.
-
-        None for a topic that holds no photos.
-
-        Parameters
-        ----------
-        name, topic : str
-        messages : list of Message
-            In the order of their stamps.
-        times : ndarray of int64, shape (m,)
-            Nanoseconds of each image.
-        settings : CameraSettings, optional
-            What the user says of the camera: it wins over the bag.
-        """
-        bag, given = self.bag, settings or CameraSettings()
-        where = f"{bag.path}, {topic}"
-        first = bag.read(topic, messages[0], where)
-        if settings is None and not is_photo(first):
-            if measures(first):
-                log.info("%s holds no photos and is left out", where)
-            else:
-                log.warning(
-                    "%s has the encoding %r, which docdepth does not read, and is left out",
-                    where, first.encoding,
-                )  # fmt: skip
-            return None
-        names = [str(time) for time in times.tolist()]
-        images = [
-            StoredImage(bag.files[0], f"{topic} {stamp}", _ReadImage(bag, topic, message, k))
-            for k, (message, stamp) in enumerate(zip(messages, names, strict=True))
-        ]
-        known = ImageStream(name, times, names, images)
-        try:
-            info = self._info(topic)
-            rectified = any("rect" in part for part in topic.split("/"))
-            if given.K is not None:
-                height, width = decode_image(first, where).shape[:2]
-                camera = given.camera((width, height), f"{self.file}, {topic}")
-                distortion, model = given.lens(), given.model
-            elif info is not None:
-                size = size_of(first, where)
-                camera, distortion, model = camera_of(info, rectified, size, where)
-            else:
-                raise CalibrationError(f"{where}: there is no CameraInfo")
-            known = ImageStream(name, times, names, images, camera, distortion, model)
-            T = self._extrinsic(given, messages[0].frame or _frame_of(info), topic)
-            if rectified and info is not None and given.T_camera_lidar is None:
-                T = rectification_of(info) @ T
-        except CalibrationError as error:
-            if (given.K and known.camera is None) or given.T_camera_lidar:
-                raise
+    bag, settings = opened.file, opened.settings.cameras.get(topic)
+    given, file = settings or CameraSettings(), opened.settings.file
+    where = f"{bag.path}, {topic}"
+    first = bag.read(topic, messages[0], where)
+    if settings is None and not is_photo(first):
+        if measures(first):
+            log.info("%s holds no photos and is left out", where)
+        else:
             log.warning(
-                "%s; the camera gets no depth maps. Say K and T_camera_lidar of cameras: {%s: } in "
-                "%s, or find them by docdepth calibrate",
-                error, topic, self.file,
+                "%s has the encoding %r, which docdepth does not read, and is left out",
+                where, first.encoding,
             )  # fmt: skip
-            return known
-        return CameraStream(name, camera, T, times, names, images, distortion, model)
-
-    def _info(self, topic: str) -> Any:
-        """The first CameraInfo near a topic of images; None without one."""
-        parts = topic.split("/")
-        for k in range(len(parts), 1, -1):
-            near = "/".join([*parts[:k], "camera_info"])
-            if self.bag.topics.get(near) == CAMERA_INFO:
-                return next(iter(self.bag.read_all(near, most=1)), None)
         return None
+    names = [str(time) for time in times.tolist()]
+    images = [
+        StoredImage(bag.files[0], f"{topic} {stamp}", _ReadImage(bag, topic, message, k))
+        for k, (message, stamp) in enumerate(zip(messages, names, strict=True))
+    ]
+    known = ImageStream(name, times, names, images)
+    try:
+        info = _info(bag, topic)
+        rectified = any("rect" in part for part in topic.split("/"))
+        if given.K is not None:
+            height, width = decode_image(first, where).shape[:2]
+            camera = given.camera((width, height), f"{file}, {topic}")
+            distortion, model = given.lens(), given.model
+        elif info is not None:
+            size = size_of(first, where)
+            camera, distortion, model = camera_of(info, rectified, size, where)
+        else:
+            raise CalibrationError(f"{where}: there is no CameraInfo")
+        known = ImageStream(name, times, names, images, camera, distortion, model)
+        T = _extrinsic(opened, lidar_frame, given, messages[0].frame or _frame_of(info), topic)
+        if rectified and info is not None and given.T_camera_lidar is None:
+            T = rectification_of(info) @ T
+    except CalibrationError as error:
+        if (given.K and known.camera is None) or given.T_camera_lidar:
+            raise
+        log.warning(
+            "%s; the camera gets no depth maps. Say K and T_camera_lidar of cameras: {%s: } in "
+            "%s, or find them by docdepth calibrate",
+            error, topic, file,
+        )  # fmt: skip
+        return known
+    return CameraStream(name, camera, T, times, names, images, distortion, model)
 
-    def _extrinsic(
-        self, given: CameraSettings, camera_frame: str, topic: str
-    ) -> NDArray[np.float64]:
-        if given.T_camera_lidar is not None:
-            return given.extrinsic(f"{self.file}, {topic}")
-        T = None
-        if camera_frame and self.lidar_frame:
-            T = self.frames.between(camera_frame, self.lidar_frame)
-        if T is None:
-            known = ", ".join(self.frames.names) or "none"
-            raise CalibrationError(
-                f"{self.bag.path}, {topic}: no static transform connects the frames "
-                f"{camera_frame!r} of the images and {self.lidar_frame!r} of the points (there are "
-                f"{known})"
-            )
-        return T
+
+def _info(bag: BagFile, topic: str) -> Any:
+    """The first CameraInfo near a topic of images; None without one."""
+    parts = topic.split("/")
+    for k in range(len(parts), 1, -1):
+        near = "/".join([*parts[:k], "camera_info"])
+        if bag.topics.get(near) == CAMERA_INFO:
+            return next(iter(bag.read_all(near, most=1)), None)
+    return None
+
+
+def _extrinsic(
+    opened: OpenedBag, lidar_frame: str, given: CameraSettings, camera_frame: str, topic: str
+) -> NDArray[np.float64]:
+    if given.T_camera_lidar is not None:
+        return given.extrinsic(f"{opened.settings.file}, {topic}")
+    T = None
+    if camera_frame and lidar_frame:
+        T = opened.frames.between(camera_frame, lidar_frame)
+    if T is None:
+        known = ", ".join(opened.frames.names) or "none"
+        raise CalibrationError(
+            f"{opened.path}, {topic}: no static transform connects the frames {camera_frame!r} "
+            f"of the images and {lidar_frame!r} of the points (there are {known})"
+        )
+    return T
 
 
 def _frame_of(info: Any) -> str:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import struct
-import threading
-import weakref
 from collections.abc import Iterable, Iterator
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from docdepth.datasets.files import extra
+from docdepth.datasets.files import OpenedOnce, extra
 from docdepth.errors import DatasetError
 
 SUFFIXES = (".bag", ".mcap", ".db3")
@@ -94,19 +92,9 @@ class BagFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.files = bag_files(path)
-        self._lock = threading.Lock()
-        self._reader: Any = None
-        self._opened_by = 0
-        with self._lock:
-            reader = self._open()
+        self._opened = OpenedOnce(partial(_open_reader, path, self.files))
+        with self._opened as reader:
             self.topics = {c.topic: c.msgtype for c in reader.connections}
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_lock": None, "_reader": None}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._lock = threading.Lock()
 
     def index(self, topics: Iterable[str]) -> dict[str, list[Message]]:
         """The messages of these topics in the order of their recording."""
@@ -114,10 +102,9 @@ class BagFile:
         found: dict[str, list[Message]] = {topic: [] for topic in wanted}
         if not wanted:
             return found
-        with self._lock:
-            reader = self._open()
+        with self._opened as reader:
             connections = [c for c in reader.connections if c.topic in wanted]
-            for connection, recorded, raw in self._messages(connections):
+            for connection, recorded, raw in self._messages(reader, connections):
                 known = found[connection.topic]
                 number = 0
                 if known and known[-1].recorded == recorded:
@@ -128,13 +115,14 @@ class BagFile:
 
     def read(self, topic: str, message: Message, where: str) -> Any:
         """A message, decoded; ``where`` names it in errors."""
-        with self._lock:
-            reader = self._open()
+        with self._opened as reader:
             connections = [c for c in reader.connections if c.topic == topic]
             at = message.recorded
-            for number, (connection, _, raw) in enumerate(self._messages(connections, at, at + 1)):
+            for number, (connection, _, raw) in enumerate(
+                self._messages(reader, connections, at, at + 1)
+            ):
                 if number == message.number:
-                    return self._decode(raw, connection.msgtype, where)
+                    return self._decode(reader, raw, connection.msgtype, where)
         raise DatasetError(f"{where} has gone; copy the bag again")
 
     def read_all(self, topic: str, most: int | None = None) -> list[Any]:
@@ -143,36 +131,31 @@ class BagFile:
 
     def each(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Nanoseconds of recording, and the message, one after the other."""
-        with self._lock:
-            reader = self._open()
+        with self._opened as reader:
             connections = [c for c in reader.connections if c.topic == topic]
-            for connection, recorded, raw in self._messages(connections):
-                yield recorded, self._decode(raw, connection.msgtype, f"{self.path}, {topic}")
-
-    def _open(self) -> Any:
-        """The reader of this process; the lock is held."""
-        if self._reader is None or self._opened_by != os.getpid():
-            self._reader, self._opened_by = _open_reader(self.path, self.files), os.getpid()
-            weakref.finalize(self, self._reader.close)
-        return self._reader
+            for connection, recorded, raw in self._messages(reader, connections):
+                yield (
+                    recorded,
+                    self._decode(reader, raw, connection.msgtype, f"{self.path}, {topic}"),
+                )
 
     def _messages(
         self,
+        reader: Any,
         connections: list[Any],
         start: int | None = None,
         stop: int | None = None,
-        where: str = "",
     ) -> Iterator[tuple[Any, int, bytes]]:
         try:
-            yield from self._reader.messages(connections, start=start, stop=stop)
+            yield from reader.messages(connections, start=start, stop=stop)
         except DatasetError:
             raise
         except Exception as error:  # rosbags lets errors of sqlite3, lz4, zstd and struct through
-            raise DatasetError(f"{where or self.path} is damaged ({error}); {_MEND}") from error
+            raise DatasetError(f"{self.path} is damaged ({error}); {_MEND}") from error
 
-    def _decode(self, raw: bytes, kind: str, where: str) -> Any:
+    def _decode(self, reader: Any, raw: bytes, kind: str, where: str) -> Any:
         try:
-            return self._reader.deserialize(raw, kind)
+            return reader.deserialize(raw, kind)
         except Exception as error:
             raise DatasetError(
                 f"{where}: a {kind} cannot be decoded ({error}); the bag is damaged, or holds no "

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import threading
-import weakref
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +10,7 @@ import numpy as np
 
 from docdepth.datasets.base import LidarStream
 from docdepth.datasets.cloud import Cloud
-from docdepth.datasets.files import extra
+from docdepth.datasets.files import OpenedOnce, extra
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing
 from docdepth.datasets.recording import Recording
@@ -46,11 +44,9 @@ class OusterCapture:
 
     def __init__(self, path: Path, metadata: Path) -> None:
         self.path, self.metadata = path, metadata
-        self._lock = threading.Lock()
-        self._source: Any = None
-        self._opened_by = 0
-        with self._lock:
-            arrived = np.array(self._open().full_index, np.int64).reshape(-1, 2)[:, 0]
+        self._opened = OpenedOnce(partial(_open_source, path, metadata))
+        with self._opened as source:
+            arrived = np.array(source.full_index, np.int64).reshape(-1, 2)[:, 0]
         if not len(arrived):
             raise DatasetError(
                 f"{path} holds no frame that fits {metadata}: it is empty, or the metadata is of "
@@ -61,18 +57,11 @@ class OusterCapture:
         check_increasing(times, names, path)
         self.stream = LidarStream("ouster", times, names)
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_lock": None, "_source": None}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._lock = threading.Lock()
-
     @property
     def height(self) -> float:
         """Metres of the lasers' centre above the origin of the sensor's frame."""
-        with self._lock:
-            info = self._open().sensor_info[0]
+        with self._opened as source:
+            info = source.sensor_info[0]
             return float(info.lidar_to_sensor_transform[2, 3]) * _MILLIMETRE
 
     def read(self, index: int) -> Cloud:
@@ -80,8 +69,7 @@ class OusterCapture:
         from ouster.sdk import core
 
         where = f"{self.path} (frame {index})"
-        with self._lock:
-            source = self._open()
+        with self._opened as source:
             frame = _frame(source, index, where)
             points = core.XYZLut(source.sensor_info[0])(frame).astype(np.float32)
         rows, columns = points.shape[:2]
@@ -102,21 +90,14 @@ class OusterCapture:
     def _clock_offset(self, arrived: np.ndarray[Any, np.dtype[np.int64]]) -> int:
         """Nanoseconds from the host's clock to the LiDAR's; 0 where that is not Unix time."""
         offsets = []
-        with self._lock:
+        with self._opened as source:
             for k in sorted({0, len(arrived) // 2, len(arrived) - 1}):
-                frame = _frame(self._open(), k, f"{self.path} (frame {k})")
+                frame = _frame(source, k, f"{self.path} (frame {k})")
                 valid = (frame.status & _VALID) > 0
                 if valid.any():
                     offsets.append(int(frame.timestamp[valid].min()) - int(arrived[k]))
         offset = int(np.median(offsets)) if offsets else 0
         return offset if abs(offset) < _SAME_CLOCK else 0
-
-    def _open(self) -> Any:
-        """The source of this process; the lock is held."""
-        if self._source is None or self._opened_by != os.getpid():
-            self._source, self._opened_by = _open_source(self.path, self.metadata), os.getpid()
-            weakref.finalize(self, self._source.close)
-        return self._source
 
 
 def _open_source(path: Path, metadata: Path) -> Any:

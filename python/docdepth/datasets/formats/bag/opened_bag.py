@@ -1,0 +1,112 @@
+"""A bag, what ``docdepth.yaml`` says of it, and how its frames lie to each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from docdepth.datasets.formats.bag.bag_file import BagFile, Message
+from docdepth.datasets.formats.bag.bag_frames import StaticFrames
+from docdepth.datasets.settings import CameraSettings, Numbers, RecordingSettings, Strict
+from docdepth.errors import DatasetError
+
+
+class BagLidarSettings(Strict):
+    """A topic of points.
+
+    Attributes
+    ----------
+    T_lidar_sensor : list of float, optional
+        Takes its points to the frame of the first LiDAR; from the static transforms if left out.
+    angles : str, optional
+        Of packets of a Hesai, see :func:`~.hesai.read_angles`.
+    """
+
+    T_lidar_sensor: Numbers | None = None
+    angles: str | None = None
+
+
+class BagSettings(RecordingSettings):
+    """What ``docdepth.yaml`` beside a bag may say.
+
+    Attributes
+    ----------
+    lidars : dict
+        Topics of points, the first of which gives stamps and frame. Needed where there are several.
+    cameras : dict
+        By topic of images, what the bag lacks.
+    stamps : {"header", "record"}
+        Which times count: of the messages' headers, or of their recording.
+    odometry_frame : str, optional
+        The frame whose place the topic ``poses`` tells, where its messages do not name it.
+    T_odometry_lidar : list of float, optional
+        Takes points of the first LiDAR to the frame whose place the topic ``poses`` tells; from the
+        static transforms if left out.
+    """
+
+    lidars: dict[str, BagLidarSettings | None] = Field(default_factory=dict)
+    cameras: dict[str, CameraSettings] = Field(default_factory=dict)
+    stamps: Literal["header", "record"] = "header"
+    odometry_frame: str | None = None
+    T_odometry_lidar: Numbers | None = None
+
+
+@dataclass(frozen=True)
+class OpenedBag:
+    """A bag and what is known of it.
+
+    Attributes
+    ----------
+    file : BagFile
+    settings : BagSettings
+    frames : StaticFrames
+    index : dict of list of Message
+        Messages of each topic of points and images.
+    """
+
+    file: BagFile
+    settings: BagSettings
+    frames: StaticFrames
+    index: dict[str, list[Message]]
+
+    @property
+    def path(self) -> Path:
+        """The bag."""
+        return self.file.path
+
+    def in_order(self, topic: str) -> tuple[list[Message], NDArray[np.int64]]:
+        """Messages by their stamps, and nanoseconds of each, strictly increasing.
+
+        Raises
+        ------
+        DatasetError
+            Headers have no stamps, or two messages have one stamp.
+        """
+        messages, file = self.index[topic], self.settings.file
+        if self.settings.stamps == "record":
+            return list(messages), self._distinct([m.recorded for m in messages], topic)
+        if messages and not any(m.stamp for m in messages):
+            raise DatasetError(
+                f"{self.path}, {topic}: headers have no stamps; say stamps: record in {file} to "
+                "take the times of recording"
+            )
+        ordered = sorted(messages, key=lambda m: m.stamp)
+        return ordered, self._distinct([m.stamp for m in ordered], topic)
+
+    def _distinct(self, times: Sequence[int], topic: str) -> NDArray[np.int64]:
+        found = np.array(times, np.int64)
+        twice = np.flatnonzero(np.diff(found) <= 0)
+        if len(twice):
+            k = int(twice[0])
+            raise DatasetError(
+                f"{self.path}, {topic}: frames {k} and {k + 1} have one stamp, {found[k]} ns"
+                f"{f', and {len(twice) - 1} more' if len(twice) > 1 else ''}; record the topic "
+                f"once, or say stamps: record in {self.settings.file}"
+            )
+        return found
