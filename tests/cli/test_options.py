@@ -129,7 +129,7 @@ class TestConfig:
         tree["parameters"]["dynamics"]["tolerance"] = 0.3
         given = read_config(self.write(tmp_path, tree))
         assert given.settings == {"dynamics.tolerance": 0.3}
-        assert given.run_inputs is not None
+        assert given.inputs is not None
 
     def test_an_explicit_value_stays_with_another_preset(self, tmp_path):
         given = read_config(self.write(tmp_path, {"dynamics": {"coarse_radius": 80}}))

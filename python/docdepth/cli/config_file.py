@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
 from docdepth._parameter_text import read_yaml
 from docdepth._yaml_text import explain_yaml
-from docdepth.config import Parameters, Preset, departures, parameters
+from docdepth.config import STAGES, Preset, departures, parameters
 from docdepth.errors import ConfigError
 from docdepth.io.inputs import RunInputs
 from docdepth.io.manifest import RunManifest
 
-_STAGES = tuple(name for name in Parameters.model_fields if name != "preset")
 
-
-@dataclass(frozen=True)
-class RunConfigFile:
+class RunConfigFile(NamedTuple):
     """What a file gives, all of it defaults that options replace.
 
     Attributes
     ----------
-    run_inputs : RunInputs, optional
+    inputs : RunInputs, optional
         Those of a run.yaml.
     preset : str
     settings : dict
@@ -32,26 +28,9 @@ class RunConfigFile:
         preset.
     """
 
-    run_inputs: RunInputs | None = None
-    preset: Preset = "default"
-    settings: dict[str, Any] = field(default_factory=dict)
-
-    def inputs(self, recording: Path | None, options: dict[str, Any]) -> dict[str, Any]:
-        """Fields of :class:`RunInputs`: those of the options, else of the file.
-
-        Raises
-        ------
-        ConfigError
-            Neither names a recording.
-        """
-        of_file = {} if self.run_inputs is None else self.run_inputs.model_dump(exclude_none=True)
-        if recording is not None:
-            of_file |= {"recording": recording, "dataset": None}
-        if "recording" not in of_file:
-            raise ConfigError(
-                "no recording: docdepth run RECORDING -o RUN, or --config RUN/run.yaml"
-            )
-        return of_file | options
+    inputs: RunInputs | None
+    preset: Preset
+    settings: dict[str, Any]
 
 
 def read_config(path: Path) -> RunConfigFile:
@@ -99,11 +78,11 @@ def _by_name(values: dict[Any, Any]) -> dict[str, Any]:
     """Parameters by dotted name, from stages or from dotted names."""
     found: dict[str, Any] = {}
     for name, value in values.items():
-        if name == "preset":
-            continue
-        if name in _STAGES and value is None:  # a stage without an entry
-            continue
-        if name in _STAGES and not isinstance(value, dict):
+        if name not in STAGES:
+            found[str(name)] = value
+        elif isinstance(value, dict):
+            found |= {f"{name}.{key}": of_key for key, of_key in value.items()}
+        elif value is not None:  # a stage without an entry
             raise ConfigError(f"{name} is {value!r}; write {name}: {{NAME: VALUE}}")
-        found |= {f"{name}.{k}": v for k, v in value.items()} if name in _STAGES else {name: value}
-    return {str(name): value for name, value in found.items()}
+    found.pop("preset", None)
+    return found

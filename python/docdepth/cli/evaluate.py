@@ -2,77 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import Annotated
 
 import typer
 
-from docdepth.cli.options import MODES, Json, OneCamera, RunPath, Threads, one_of, verb
+from docdepth.cli.options import MODES, Json, OneCamera, RunPath, Threads, one_of, option, verb
 from docdepth.cli.status import show, show_findings
 from docdepth.cli.terminal import app, err, progress_bars, say
+from docdepth.datasets import CameraStream
+from docdepth.diagnostics.error_sources import find_error_sources
 from docdepth.errors import Finding, RunError
-
-if TYPE_CHECKING:
-    from docdepth.evaluation import Table
-    from docdepth.evaluation.error_page import ErrorPage
-    from docdepth.io.run_folder import RunFolder
+from docdepth.evaluation import Table
+from docdepth.evaluation.camera_error import camera_error
+from docdepth.evaluation.error_page import DepthPage, ErrorPage, HeldOutPage, LabelPage
+from docdepth.evaluation.held_out import evaluate_held_out
+from docdepth.evaluation.left_out import LeftOut
+from docdepth.evaluation.runs import evaluate_depth, evaluate_labels, evaluate_tracks
+from docdepth.evaluation.trajectories import evaluate_trajectories
+from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.render import report
+from docdepth.pipeline.run_cameras import recorded_camera
+from docdepth.visualization.page import check_page
+from docdepth.visualization.report import index_is_whole, keep_held_out
 
 evaluate = typer.Typer(no_args_is_help=True, help="Measure the accuracy of a run.")
 app.add_typer(evaluate, name="evaluate")
 
 LabelFolder = Annotated[
     Path,
-    typer.Option(
+    option(
+        "Folder of true labels in SemanticKITTI's format (NAME.label), or its parent.",
+        "DIR",
         "--labels",
-        metavar="DIR",
-        help="Folder of true labels in SemanticKITTI's format (NAME.label), or its parent.",
     ),
 ]
 Page = Annotated[
     Path | None,
-    typer.Option(
-        "--html",
-        metavar="FILE",
-        help="Write a page with pictures of the errors, the worst images first.",
-    ),
+    option("Write a page with pictures of the errors, the worst images first.", "FILE", "--html"),
 ]
 MaxRange = Annotated[
     float,
-    typer.Option(
-        min=1, max=10000, metavar="M", help="Ignore what is truly farther than this, metres."
-    ),
-]
-
-LeftOutLidar = Annotated[
-    int | None,
-    typer.Option(
-        "--lidar",
-        min=0,
-        metavar="N",
-        help="Leave out this LiDAR of a rig, in all sweeps, instead of a sweep; they count from 0, "
-        "as inspect lists them.",
-    ),
-]
-LeftOutBeams = Annotated[
-    int | None,
-    typer.Option(
-        "--beams",
-        min=2,
-        metavar="N",
-        help="Leave out every N-th beam of the sweep instead of all of it.",
-    ),
-]
-LeftOutSectors = Annotated[
-    float | None,
-    typer.Option(
-        "--sectors",
-        min=1,
-        max=180,
-        metavar="DEG",
-        help="Leave out every second sector of DEG degrees of the sweep instead of all of it.",
-    ),
+    option("Ignore what is truly farther than this, metres.", "M", min=1, max=10000),
 ]
 
 
@@ -87,10 +60,10 @@ def labels(
 
     Static and dynamic accuracy, F1, precision and intersection over union.
     """
-    from docdepth.evaluation.error_page import LabelPage
-    from docdepth.evaluation.runs import evaluate_labels
-
-    page = _page(html, lambda: LabelPage(_title(run, "labels against the truth")))
+    page = None
+    if html is not None:
+        check_page(html)
+        page = LabelPage(_title(run, "labels against the truth"))
     with progress_bars() as progress:
         result = evaluate_labels(run, truth, progress, page.look if page else None)
     show(result, as_json)
@@ -103,10 +76,10 @@ def tracks(
     truth: LabelFolder,
     tracks: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="True tracks, as synth writes them; tracks.csv beside the folder of labels if "
-            "left out.",
+        option(
+            "True tracks, as synth writes them; tracks.csv beside the folder of labels if left "
+            "out.",
+            "FILE",
         ),
     ] = None,
     as_json: Json = False,
@@ -116,8 +89,6 @@ def tracks(
     Share of moving objects found and of points with the right instance, HOTA and CLEAR, errors of
     boxes and velocities.
     """
-    from docdepth.evaluation.runs import evaluate_tracks
-
     with progress_bars() as progress:
         result = evaluate_tracks(run, truth, tracks, progress)
     show(result, as_json)
@@ -128,12 +99,11 @@ def trajectories(
     run: RunPath,
     poses: Annotated[
         str,
-        typer.Option(
-            "--poses",
-            metavar="FILE|dataset",
-            help="True poses, as run takes them: a file of the LiDAR's (TUM, KITTI, PLY, NPY), "
+        option(
+            "True poses, as run takes them: a file of the LiDAR's (TUM, KITTI, PLY, NPY), "
             "CAMERA:FILE for a camera's, or dataset for those of the recording. A file with times "
             "may have any rate.",
+            "FILE|dataset",
         ),
     ],
     as_json: Json = False,
@@ -143,8 +113,6 @@ def trajectories(
     Absolute and relative pose error, as evo computes them, and drift, as KITTI's odometry
     benchmark does. For its plots: docdepth convert RUN poses.tum --to tum, and evo_traj.
     """
-    from docdepth.evaluation.trajectories import evaluate_trajectories
-
     show(evaluate_trajectories(run, poses), as_json)
 
 
@@ -153,18 +121,18 @@ def depth(
     run: RunPath,
     truth: Annotated[
         Path,
-        typer.Option(
+        option(
+            "Folder of true depth maps of the same names, in any format that docdepth writes, or "
+            "its parent. Images without one are not compared.",
+            "DIR",
             "--depth",
-            metavar="DIR",
-            help="Folder of true depth maps of the same names, in any format that docdepth "
-            "writes, or its parent. Images without one are not compared.",
         ),
     ],
     mode: Annotated[
         str,
-        typer.Option(
-            help="Pixels to compare: valid (those with depth), or kitti (all: empty ones are "
-            "filled as KITTI's development kit does).",
+        option(
+            "Pixels to compare: valid (those with depth), or kitti (all: empty ones are filled as "
+            "KITTI's development kit does).",
             **one_of(MODES),
         ),
     ] = "valid",
@@ -172,11 +140,10 @@ def depth(
     camera: OneCamera = None,
     other: Annotated[
         Path | None,
-        typer.Option(
-            "--other",
-            metavar="RUN",
-            help="Another run, or a folder of depth maps of another method: both are compared over "
-            "the pixels that both fill.",
+        option(
+            "Another run, or a folder of depth maps of another method: both are compared over the "
+            "pixels that both fill.",
+            "RUN",
         ),
     ] = None,
     html: Page = None,
@@ -187,17 +154,11 @@ def depth(
     Mean absolute and root mean square error, density, and pixels more than 5 % too near or too far,
     by region; then the figures of KITTI's development kit.
     """
-    from docdepth.evaluation.error_page import DepthPage
-    from docdepth.evaluation.runs import evaluate_depth
-    from docdepth.io.run_folder import RunFolder
-    from docdepth.pipeline.run_cameras import recorded_camera
-
-    def start() -> DepthPage:
-        folder = RunFolder.open(run)
-        stream = recorded_camera(folder, folder.depth_folder(camera))
-        return DepthPage(_title(run, "depth against the truth"), max_range, stream)
-
-    page = _page(html, start)
+    page = None
+    if html is not None:
+        check_page(html)
+        title = _title(run, "depth against the truth")
+        page = DepthPage(title, max_range, _recorded_camera(RunFolder.open(run), camera))
     with progress_bars() as progress:
         result = evaluate_depth(
             run, truth, mode, max_range, camera,  # type: ignore[arg-type]
@@ -212,12 +173,29 @@ def depth(
 @verb(evaluate)
 def held_out(
     run: RunPath,
-    every: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Judge by every N-th sweep, one at a time.")
-    ] = 10,
-    lidar: LeftOutLidar = None,
-    beams: LeftOutBeams = None,
-    sectors: LeftOutSectors = None,
+    every: Annotated[int, option("Judge by every N-th sweep, one at a time.", "N", min=1)] = 10,
+    lidar: Annotated[
+        int | None,
+        option(
+            "Leave out this LiDAR of a rig, in all sweeps, instead of a sweep; they count from 0, "
+            "as inspect lists them.",
+            "N",
+            min=0,
+        ),
+    ] = None,
+    beams: Annotated[
+        int | None,
+        option("Leave out every N-th beam of the sweep instead of all of it.", "N", min=2),
+    ] = None,
+    sectors: Annotated[
+        float | None,
+        option(
+            "Leave out every second sector of DEG degrees of the sweep instead of all of it.",
+            "DEG",
+            min=1,
+            max=180,
+        ),
+    ] = None,
     max_range: MaxRange = 80.0,
     camera: OneCamera = None,
     threads: Threads = 0,
@@ -232,23 +210,13 @@ def held_out(
     Poses that jitter and sweeps that are not motion compensated are named. Returns cannot tell
     where the camera is and when it looked. Where images can, it says what a wrong camera adds.
     """
-    from docdepth.diagnostics.error_sources import find_error_sources
-    from docdepth.evaluation.camera_error import camera_error
-    from docdepth.evaluation.error_page import HeldOutPage
-    from docdepth.evaluation.held_out import evaluate_held_out
-    from docdepth.evaluation.left_out import LeftOut
-    from docdepth.io.run_folder import RunFolder
-    from docdepth.pipeline.run_cameras import recorded_camera
-
-    left_out = LeftOut(lidar, beams, sectors)
-
-    def start() -> HeldOutPage:
+    left_out, page = LeftOut(lidar, beams, sectors), None
+    if html is not None:
+        check_page(html)
         folder = RunFolder.open(run)
-        stream = recorded_camera(folder, folder.depth_folder(camera))
         title = _title(run, "depth against returns that were left out")
-        return HeldOutPage(title, max_range, str(left_out), stream, folder.trajectory().times)
-
-    page = _page(html, start)
+        stream, times = _recorded_camera(folder, camera), folder.trajectory().times
+        page = HeldOutPage(title, max_range, str(left_out), stream, times)
     with progress_bars() as progress:
         result = evaluate_held_out(
             run, every, max_range, camera, threads,
@@ -256,9 +224,8 @@ def held_out(
             page.look if page else None,
         )  # fmt: skip
         folder = RunFolder.open(run)
-        sources = find_error_sources(folder, progress)
+        findings = find_error_sources(folder, progress).findings
         wrong = camera_error(folder, camera, max_range, progress)
-    findings = sources.findings
     if wrong:
         findings.append(Finding("camera", "", wrong.line))
         result = replace(result, camera_mae=wrong.mae, camera_wrong=wrong.wrong)
@@ -271,9 +238,6 @@ def held_out(
 
 def _keep(folder: RunFolder, camera: str | None, table: Table) -> None:
     """Keep the errors for the report of the run, and write that anew."""
-    from docdepth.pipeline.render import report
-    from docdepth.visualization.report import index_is_whole, keep_held_out
-
     if keep_held_out(folder, camera, asdict(table)) and index_is_whole(folder):
         try:
             report(folder)
@@ -281,17 +245,8 @@ def _keep(folder: RunFolder, camera: str | None, table: Table) -> None:
             say(f"the report of the run stays as it was: {error}", to=err)
 
 
-PageKind = TypeVar("PageKind", bound="ErrorPage")
-
-
-def _page(path: Path | None, start: Callable[[], PageKind]) -> PageKind | None:
-    """The page to fill, if one is asked for and may be written."""
-    from docdepth.visualization.page import check_page
-
-    if path is None:
-        return None
-    check_page(path)
-    return start()
+def _recorded_camera(folder: RunFolder, camera: str | None) -> CameraStream | None:
+    return recorded_camera(folder, folder.depth_folder(camera))
 
 
 def _title(run: Path, what: str) -> str:

@@ -41,34 +41,21 @@ def option(said: str, metavar: str | None = None, flags: str = "", **more: Any) 
     return typer.Option(*flags.split(), help=said, **{"metavar": metavar, **more})
 
 
-def one_of(names: Iterable[str]) -> dict[str, Any]:
-    """Arguments of an option for one of these names."""
+def one_of(names: Iterable[str], several: bool = False) -> dict[str, Any]:
+    """Arguments of an option for one of these names, or for several with commas."""
     known = tuple(names)
 
     def parse(text: str) -> str:
-        return _name(text, known)
+        return ",".join(_name(part, known) for part in (text.split(",") if several else [text]))
 
     def complete(incomplete: str) -> list[str]:
-        return [name for name in known if name.startswith(incomplete)]
-
-    parse.__name__ = "name"  # typer asks for it
-    return {"metavar": "NAME", "parser": parse, "autocompletion": complete}
-
-
-def some_of(names: Iterable[str]) -> dict[str, Any]:
-    """Arguments of an option for one or several of these names, with commas."""
-    known = tuple(names)
-
-    def parse(text: str) -> str:
-        return ",".join(_name(part, known) for part in text.split(","))
-
-    def complete(incomplete: str) -> list[str]:
-        before, comma, last = incomplete.rpartition(",")
+        before, comma, last = incomplete.rpartition(",") if several else ("", "", incomplete)
         taken = before.split(",")
         return [before + comma + n for n in known if n.startswith(last) and n not in taken]
 
-    parse.__name__ = "name"
-    return {"metavar": "NAME[,NAME...]", "parser": parse, "autocompletion": complete}
+    parse.__name__ = "name"  # typer asks for it
+    metavar = "NAME[,NAME...]" if several else "NAME"
+    return {"metavar": metavar, "parser": parse, "autocompletion": complete}
 
 
 def _name(text: str, known: tuple[str, ...]) -> str:
@@ -230,7 +217,10 @@ Settings = Annotated[
 ]
 Formats = Annotated[
     list[str] | None,
-    option(f"Files of each depth map: {', '.join(FORMATS)}; png if absent.", **some_of(FORMATS)),
+    option(
+        f"Files of each depth map: {', '.join(FORMATS)}; png if absent.",
+        **one_of(FORMATS, several=True),
+    ),
 ]
 Scale = Annotated[
     float | None,
@@ -240,7 +230,7 @@ LayerNames = Annotated[
     list[str] | None,
     option(
         f"Further arrays per pixel, written beside the depth: {', '.join(LAYERS)}; none if absent.",
-        **some_of(LAYERS),
+        **one_of(LAYERS, several=True),
     ),
 ]
 Json = Annotated[

@@ -108,8 +108,14 @@ def run(
         chosen = [every, config, preset, settings, format, scale, layers, how.memory]
         is_alone = not (inputs or how.force or any(one is not None for one in chosen))
         return show(_continue(recording, how, is_alone), as_json)
-    file = read_config(config) if config else RunConfigFile()
-    inputs = file.inputs(recording or every, inputs)
+    file = read_config(config) if config else RunConfigFile(None, "default", {})
+    place = recording or every
+    if place is not None:
+        inputs = {"recording": place, "dataset": None} | inputs
+    elif file.inputs is None:
+        raise ConfigError("no recording: docdepth run RECORDING -o RUN, or --config RUN/run.yaml")
+    if file.inputs is not None:
+        inputs = file.inputs.model_dump(exclude_none=True) | inputs
     changed = file.settings | changes(settings, format, scale, layers)
     values = parameters(preset or file.preset, changed)  # type: ignore[arg-type]
     if every is not None:
