@@ -34,9 +34,9 @@ AGAIN = "inserted into the map"
 
 def count_steps(log: Path) -> None:
     """Have this process add a line to a file for each step that it begins."""
-    from docdepth.dynamics import scheduling
+    from docdepth.dynamics import sweep_classifier
     from docdepth.odometry import odometry, registration
-    from docdepth.pipeline import classify, render
+    from docdepth.pipeline import classify, render, sweep_store
 
     descriptor = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
 
@@ -54,9 +54,9 @@ def count_steps(log: Path) -> None:
     counted(registration.Registration, "insert", AGAIN)
     counted(odometry.DeskewedSweeps, "deskewed", "deskewed")
     counted(classify, "label_chunk", "ground of a chunk")
-    counted(scheduling.SweepClassifier, "vote", "voted")
-    counted(scheduling.SweepClassifier, "track", "tracked")
-    counted(scheduling.SweepClassifier, "label_by_tracks", "labelled")
+    counted(sweep_classifier.SweepClassifier, "_classify", "voted")
+    counted(sweep_classifier.SweepClassifier, "track", "tracked")
+    counted(sweep_store.FrameStore, "evidence", "labelled")
     counted(render, "compose_depth", "drawn")
 
 

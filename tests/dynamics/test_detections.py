@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from things import CAR, POLE, WALL, Thing, detections_of, parked_at
 
-from docdepth.dynamics.tracking import Detections
-from docdepth.dynamics.voting import OccupancyIntervals, Votes
+import docdepth._core as _core
+from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
 from docdepth.geometry.scan_mesh import ScanMesh
 
@@ -22,8 +22,8 @@ def test_detections_are_the_objects_of_their_sweep():
     T[:3, 3] = 3, -2, 1
     ends = np.arange(400, dtype=np.int32)
     free = rng.random(400) < 0.5
-    occupancy, mesh = OccupancyIntervals(free, ends, ends), ScanMesh(points)
-    made = Detections(points, ground, objects, moving, occupancy, mesh, T)
+    mesh = ScanMesh(points).core
+    made = _core.Detections(points, ground, objects, moving, free, ends, ends, mesh, T)
     rows, samples, borders = made.arrays
     assert list(rows["first"]) == sorted(set(objects[~ground]))
     for row in rows:
@@ -36,7 +36,7 @@ def test_detections_are_the_objects_of_their_sweep():
         squares = (points[members] ** 2).sum(1)
         np.testing.assert_allclose(row["area"], squares.sum(), rtol=1e-5)
         np.testing.assert_allclose(row["dynamic_area"], squares[moving[members]].sum(), rtol=1e-5)
-        isolated = np.isin(np.flatnonzero(members), mesh.core.isolated).sum()
+        isolated = np.isin(np.flatnonzero(members), mesh.isolated).sum()
         freed = squares[free[members]].sum() if isolated <= 0.1 * count else 0
         np.testing.assert_allclose(row["free_area"], freed, rtol=1e-5)
         sweeps = np.sort(np.flatnonzero(members))
@@ -75,8 +75,8 @@ def test_borders_tell_where_an_object_ends_and_where_it_is_hidden():
 def test_wrong_objects_are_refused():
     points, ground = np.ones((3, 3), np.float32), np.zeros(3, bool)
     objects, moving = np.array([0, 1, 1], np.uint32), np.zeros(3, bool)
-    occupancy, mesh = OccupancyIntervals(moving, *np.zeros((2, 3), np.int32)), ScanMesh(points)
+    seen = (moving, *np.zeros((2, 3), np.int32), ScanMesh(points).core, np.eye(4))
     with pytest.raises(ValueError, match="cluster_objects"):
-        Detections(points, ground, objects[::-1].copy(), moving, occupancy, mesh, np.eye(4))
+        _core.Detections(points, ground, objects[::-1].copy(), moving, *seen)
     with pytest.raises(InputError, match="order"):
         Votes(*np.zeros((2, 3), np.uint16)).occupancy_by_sweep(np.arange(2), 2)

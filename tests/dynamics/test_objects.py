@@ -9,9 +9,8 @@ from things import with_options
 from docdepth.config import parameters
 from docdepth.datasets.base import Sweep
 from docdepth.dynamics import key_frames
-from docdepth.dynamics.classes import classify
+from docdepth.dynamics.classes import classify, cluster_objects
 from docdepth.dynamics.classifier import classify_drive
-from docdepth.dynamics.clustering import cluster_objects
 from docdepth.dynamics.voting import Votes
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.sensor_rig import SensorRig

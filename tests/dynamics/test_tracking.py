@@ -23,9 +23,9 @@ from things import (
 )
 from tracks_reference import dynamic_voxels as reference_voxels
 
+import docdepth._core as _core
 from docdepth.dynamics import tracking
-from docdepth.dynamics.track_labels import label_by_tracks
-from docdepth.dynamics.tracking import Detections, TrackedSweep, track_objects
+from docdepth.dynamics.tracking import TrackedSweep, label_by_tracks, track_objects
 from docdepth.dynamics.voting import Votes
 from docdepth.geometry.trajectory import Trajectory
 from lidar_rays import scan_rays
@@ -436,7 +436,7 @@ def same_tracking(one, other):
 def test_tracks_do_not_depend_on_threads_or_files(seed):
     rng = np.random.default_rng(seed)
     detections, _ = detections_of(random_things(rng, 30), 30, seed)
-    again = [Detections.of(seen.arrays) for seen in detections]
+    again = [_core.Detections.of(*seen.arrays) for seen in detections]
     one, two = (tracking_of(detections, straight(30), threads) for threads in (1, 2))
     assert len(one.tracks) >= 3
     same_tracking(one, two)
@@ -463,7 +463,7 @@ def test_a_drive_of_which_few_sweeps_are_held(monkeypatch):
 
         def read(sweep, reads=reads):
             reads.append(sweep)
-            return Detections.of(saved[sweep])
+            return _core.Detections.of(*saved[sweep])
 
         tracks = track_objects(read, straight(count), sweeps.append)
         same_tracking(Tracking(sweeps, tracks), right)

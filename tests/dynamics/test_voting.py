@@ -9,9 +9,9 @@ from dynamics_reference import reference_vote
 
 import docdepth._core as _core
 from docdepth.config import DynamicsParameters, parameters
-from docdepth.dynamics import key_frames as key_frame_module
+from docdepth.dynamics import key_frames
 from docdepth.dynamics.classifier import classify_drive
-from docdepth.dynamics.key_frames import key_frames
+from docdepth.dynamics.key_frames import KeyFrames
 from docdepth.dynamics.voting import KeyFrame, vote
 from docdepth.errors import InputError
 from docdepth.geometry.scan_mesh import ScanMesh
@@ -24,8 +24,13 @@ KITTI = os.environ.get("DOCDEPTH_KITTI_RAW")
 PAPER, DEFAULT = parameters("paper").dynamics, parameters("default").dynamics
 
 
+def chosen_of(trajectory, p):
+    chosen = KeyFrames(trajectory, p)
+    return [chosen[i] for i in range(len(trajectory))]
+
+
 def test_key_frames_are_near_along_the_path_and_never_the_sweep_itself():
-    chosen = key_frames(straight(101, 1.0), PAPER)
+    chosen = chosen_of(straight(101, 1.0), PAPER)
     expected = set(range(30, 71, 2)) | {0, 10, 20, 80, 90, 100}
     assert set(chosen[50]) == expected - {50}
     assert set(chosen[51]) == {i for i in range(32, 71, 2)} | {10, 20, 30, 80, 90, 100}
@@ -33,10 +38,10 @@ def test_key_frames_are_near_along_the_path_and_never_the_sweep_itself():
 
 
 def test_a_crawling_ego_has_a_key_frame_a_second_and_the_ends_more(monkeypatch):
-    monkeypatch.setattr(key_frame_module, "TIME_RADIUS", 4)
-    monkeypatch.setattr(key_frame_module, "END_SPACING", 0.2)
-    monkeypatch.setattr(key_frame_module, "END_RADIUS", 0.5)
-    chosen = key_frames(straight(101, 0.01), DynamicsParameters(time_spacing=1))
+    monkeypatch.setattr(key_frames, "TIME_RADIUS", 4)
+    monkeypatch.setattr(key_frames, "END_SPACING", 0.2)
+    monkeypatch.setattr(key_frames, "END_RADIUS", 0.5)
+    chosen = chosen_of(straight(101, 0.01), DynamicsParameters(time_spacing=1))
     assert list(chosen[50]) == [0, 10, 20, 30, 40, 60, 70, 80, 90, 100]
     assert list(chosen[55]) == [0, 20, 30, 40, 50, 60, 70, 80, 90, 100]
     assert {96, 98, 100} < set(chosen[95])
@@ -81,7 +86,7 @@ def test_key_frames_of_a_long_drive_are_those_of_the_plain_comparison(seed, p):
     poses[:, 1, 3] = rng.normal(0, 0.01, 3000) * (seed > 0)
     step = 100_000_000 + (rng.integers(-3_000_000, 3_000_000, 3000) if seed > 1 else 0)
     trajectory = Trajectory(np.cumsum(np.full(3000, step)), poses)
-    found, expected = key_frames(trajectory, p), plain_key_frames(trajectory, p)
+    found, expected = chosen_of(trajectory, p), plain_key_frames(trajectory, p)
     for one, plain in zip(found, expected, strict=True):
         assert one.dtype == np.int64
         np.testing.assert_array_equal(one, plain)
@@ -90,7 +95,7 @@ def test_key_frames_of_a_long_drive_are_those_of_the_plain_comparison(seed, p):
 def test_a_standing_vehicle_adds_one_key_frame_with_the_paper_preset():
     rng = np.random.default_rng(0)
     poses = np.stack([pose(*rng.normal(0, 0.005, 2)) for _ in range(50)])
-    chosen = key_frames(Trajectory(np.arange(50) * 100_000_000, poses), PAPER)
+    chosen = chosen_of(Trajectory(np.arange(50) * 100_000_000, poses), PAPER)
     assert len(chosen[0]) == 0
     assert all(list(frames) == [0] for frames in chosen[1:])
 

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 import docdepth._core as _core
-from docdepth.dynamics.tracking import Detections, TrackedSweep, track_objects
-from docdepth.dynamics.voting import OccupancyIntervals
+from docdepth.dynamics.tracking import TrackedSweep, track_objects
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
@@ -122,8 +121,9 @@ def detections_of(things, count, seed=0, joined=None, drive=None):
         none = np.zeros(len(cloud), bool)
         objects, flags = np.array(first, np.uint32), np.array(moving, bool)
         once, *ends = np.array(stays, np.int32).reshape(-1, 3).T
-        seen = OccupancyIntervals(once > 0, *(np.ascontiguousarray(end) for end in ends))
-        detections.append(Detections(cloud, none, objects, flags, seen, ScanMesh(cloud), T))
+        seen = (once > 0, *(np.ascontiguousarray(end) for end in ends))
+        mesh = ScanMesh(cloud).core
+        detections.append(_core.Detections(cloud, none, objects, flags, *seen, mesh, T))
         rows.append(firsts)
     return detections, rows
 
@@ -133,8 +133,8 @@ def one_object(cloud, sweep, T=None, ground=None, times=None):
     ground = np.zeros(len(cloud), bool) if ground is None else ground
     objects = np.where(ground, np.arange(len(cloud)), 0).astype(np.uint32)
     ends = np.full(len(cloud), sweep, np.int32)
-    seen, T = OccupancyIntervals(~ground, ends, ends), np.eye(4) if T is None else T
-    return Detections(cloud, ground, objects, ~ground, seen, ScanMesh(cloud), T, times)
+    mesh, T = ScanMesh(cloud).core, np.eye(4) if T is None else T
+    return _core.Detections(cloud, ground, objects, ~ground, ~ground, ends, ends, mesh, T, times)
 
 
 def with_options(monkeypatch, **changed):

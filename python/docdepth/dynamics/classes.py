@@ -1,4 +1,7 @@
-"""Classes of points from the votes on them, and how sure they are (paper IV-C)."""
+"""Classes of points from the votes on them, and how sure they are (paper IV-C).
+
+Votes are shared within the objects of a sweep (ours, beyond the paper).
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+import docdepth._core as _core
 from docdepth.config import DynamicsParameters
-from docdepth.dynamics.clustering import classify_objects, cluster_objects
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
 from docdepth.geometry.checks import ShortRepr
@@ -42,6 +45,33 @@ class DriveLabels(list[Labels]):
     tracks: Sequence[Track] = ()
 
 
+def cluster_objects(
+    points: NDArray[np.float32], ground: NDArray[np.bool_], mesh: ScanMesh | None = None
+) -> NDArray[np.uint32]:
+    """Cluster the points above the ground into objects, along the edges of the sweep's mesh.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        The deskewed sweep, LiDAR frame, metres.
+    ground : ndarray of bool, shape (N,)
+    mesh : ScanMesh, optional
+        Of these points; made here when not given.
+
+    Returns
+    -------
+    ndarray of uint32, shape (N,)
+        For each point the first row of its object; a ground point is an object of its own.
+
+    Raises
+    ------
+    InputError
+        A shape or dtype is wrong.
+    """
+    points, ground = check_sweep(points, ground)
+    return _core.cluster_objects(points, ground, (mesh or ScanMesh(points)).core)
+
+
 def classify(
     ground: NDArray[np.bool_],
     votes: Votes,
@@ -53,8 +83,9 @@ def classify(
     """Turn votes into classes: dynamic where more key frames vote dynamic than static.
 
     Ties and points without a vote are static. With ``points``, and unless ``evidence`` is
-    ``"points"``, votes are shared within objects
-    (:func:`docdepth.dynamics.clustering.classify_objects`).
+    ``"points"``, votes are shared within objects: dynamic points without dynamic neighbours become
+    static. An object is dynamic as a whole when most of its points are; also when it stood for a
+    while, and enough of its points were observed free at another time.
 
     Parameters
     ----------
@@ -66,8 +97,7 @@ def classify(
     mesh : ScanMesh, optional
         Of these points; made here when needed and not given.
     objects : ndarray of uint32, shape (N,), optional
-        From :func:`docdepth.dynamics.clustering.cluster_objects`; made here when needed and not
-        given.
+        From :func:`cluster_objects`; made here when needed and not given.
 
     Returns
     -------
@@ -85,7 +115,9 @@ def classify(
         mesh = mesh or ScanMesh(points)
         if objects is None:
             objects = cluster_objects(points, ground, mesh)
-        dynamic = classify_objects(points, ground, objects, votes.static, votes.dynamic, mesh)
+        dynamic = _core.classify_objects(
+            points, ground, objects, votes.static, votes.dynamic, mesh.core
+        ).view(np.bool_)
     else:
         dynamic = votes.dynamic > votes.static
     if p.vote_model == "range_image":

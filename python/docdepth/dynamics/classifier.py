@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Progress
+import docdepth._core as _core
+from docdepth.concurrency import Progress, null_progress
 from docdepth.config import Parameters, given
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.dynamics.classes import DriveLabels, Labels
-from docdepth.dynamics.scheduling import classify_sweeps
-from docdepth.dynamics.sweep_classifier import Evidence
-from docdepth.dynamics.tracking import Detections, TakeSweep, TrackedSweep
+from docdepth.dynamics.sweep_classifier import Evidence, SweepClassifier
+from docdepth.dynamics.tracking import TrackedSweep
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
 from docdepth.geometry.lidar_frame import LidarFrame
@@ -70,10 +71,18 @@ def classify_drive(
         ground = grow_ground(sweeps, trajectory, p, threads, progress)
     if len(ground) != len(sweeps):
         raise InputError(f"{len(sweeps)} sweeps need as many ground labels, got {len(ground)}")
-    store = _Memory(sweeps, ground, sweep_seconds(trajectory.times))
-    classify_sweeps(store, trajectory, p.dynamics, progress, threads)
-    labels = DriveLabels(store.labels[i] for i in range(len(sweeps)))
-    labels.tracks = store.tracks
+    store, every = _Memory(sweeps, ground, sweep_seconds(trajectory.times)), range(len(sweeps))
+    report = partial(progress or null_progress, "classify")
+    classifier = SweepClassifier(trajectory, p.dynamics)
+    report(0, len(every))
+    classifier.vote_on(store, every, lambda done: report(done, len(every)), threads)
+    tracks: list[Track] = []
+    if classifier.uses_tracks:
+        tracked: list[TrackedSweep] = []
+        tracks = classifier.track(store.detections.__getitem__, tracked.append, threads)
+        classifier.label_by_tracks(store, tracked, every, lambda done: None)
+    labels = DriveLabels(store.labels[i] for i in every)
+    labels.tracks = tracks
     return labels
 
 
@@ -87,23 +96,9 @@ class _Memory:
         period: np.float32,
     ) -> None:
         self._sweeps, self._ground, self._period = sweeps, ground, period
-        self._evidence: dict[int, tuple[Evidence, Detections]] = {}
-        self._tracked: list[TrackedSweep] | None = None
-        self.tracks: Sequence[Track] = ()
+        self._evidence: dict[int, Evidence] = {}
+        self.detections: dict[int, _core.Detections] = {}
         self.labels: dict[int, Labels] = {}
-
-    def is_done(self, index: int) -> bool:
-        return False
-
-    def tracked(self) -> list[TrackedSweep] | None:
-        return self._tracked
-
-    def store_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> None:
-        self._tracked = []
-        self.tracks = find(self._tracked.append)
-
-    def has_evidence(self, index: int) -> bool:
-        return False
 
     def read(self, index: int) -> LidarFrame:
         frame = lidar_frame(self._sweeps[index], self._period)
@@ -111,14 +106,11 @@ class _Memory:
         rows = np.arange(len(points), dtype=np.uint32)  # of the sweep as it was given
         return replace(frame, index=rows).with_ground(ground).select(usable_points(points))
 
-    def store_detections(self, index: int, evidence: Evidence, detections: Detections) -> None:
-        self._evidence[index] = evidence, detections
+    def store_evidence(self, index: int, evidence: Evidence, detections: _core.Detections) -> None:
+        self._evidence[index], self.detections[index] = evidence, detections
 
     def evidence(self, index: int) -> Evidence:
-        return self._evidence[index][0]
-
-    def detections(self, index: int) -> Detections:
-        return self._evidence[index][1]
+        return self._evidence[index]
 
     def write(self, index: int, frame: LidarFrame, labels: Labels) -> None:
         rows, count = frame.index, len(self._ground[index])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -21,6 +20,8 @@ END_RADIUS = 3.0
 
 END_SPACING = 0.4
 """Spacing of these: every fourth sweep of a LiDAR that turns ten times a second [s]."""
+
+_ROUNDING = 1e-6
 
 _RECENT = 256
 """Sweeps whose key frames are kept: those in hand ask several times."""
@@ -47,28 +48,22 @@ class _Family(NamedTuple):
 
     def near(self, arc: float, time: float) -> NDArray[np.int64]:
         """Those that vote on a sweep at this path length and time."""
-        begin = max(_first(self.arc, arc - self.radius), _first(self.time, time - self.duration))
-        end = min(_end(self.arc, arc + self.radius), _end(self.time, time + self.duration))
-        window = slice(begin, end)
+        window = slice(0, len(self.frames))
+        for ascending, here, reach in (
+            (self.arc, arc, self.radius),
+            (self.time, time, self.duration),
+        ):
+            # The rounding of `arc - radius` differs from that of `arc[frames] - arc`; the window is
+            # a little wider, and the exact condition decides.
+            first = np.searchsorted(ascending, here - reach - _ROUNDING, "left")
+            end = np.searchsorted(ascending, here + reach + _ROUNDING, "right")
+            window = slice(max(window.start, int(first)), min(window.stop, int(end)))
         within = np.abs(self.arc[window] - arc) <= self.radius
         within &= np.abs(self.time[window] - time) <= self.duration
         return self.frames[window][within]
 
 
-# The rounding of `arc - radius` differs from that of `arc[frames] - arc`; the window is a little
-# wider, and the exact condition decides.
-_ROUNDING = 1e-6
-
-
-def _first(ascending: NDArray[np.float64], value: float) -> int:
-    return int(np.searchsorted(ascending, value - _ROUNDING, "left"))
-
-
-def _end(ascending: NDArray[np.float64], value: float) -> int:
-    return int(np.searchsorted(ascending, value + _ROUNDING, "right"))
-
-
-class KeyFrames(Mapping[int, NDArray[np.int64]]):
+class KeyFrames:
     """The key frames that vote on each sweep: their indices, ascending; chosen when asked for.
 
     The trajectory is subsampled twice: fine key frames vote on sweeps nearby, coarse ones also on
@@ -102,12 +97,6 @@ class KeyFrames(Mapping[int, NDArray[np.int64]]):
     def _family(self, frames: NDArray[np.int64], radius: float, duration: float) -> _Family:
         return _Family(frames, self._arc[frames], self._time[frames], radius, duration)
 
-    def __len__(self) -> int:
-        return len(self._arc)
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(range(len(self)))
-
     def __getitem__(self, i: int) -> NDArray[np.int64]:
         return self._chosen(i)
 
@@ -120,10 +109,3 @@ class KeyFrames(Mapping[int, NDArray[np.int64]]):
             near.append(ends[: np.searchsorted(ends, i, "left")])
         every = np.unique(np.concatenate(near))
         return every[every != i].astype(np.int64, copy=False)
-
-
-def key_frames(
-    trajectory: Trajectory, parameters: DynamicsParameters | None = None
-) -> list[NDArray[np.int64]]:
-    """For each sweep the indices of its :class:`KeyFrames`."""
-    return list(KeyFrames(trajectory, parameters).values())

@@ -1,25 +1,25 @@
-"""What happens to one sweep: mesh, key frame, votes, objects, classes (paper IV-C)."""
+"""From the sweeps of a drive to their labels: meshes, votes, objects, tracks (paper IV-C)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Timer
+import docdepth._core as _core
+from docdepth.concurrency import Timer, prefetch, thread_count
 from docdepth.config import DynamicsParameters
 from docdepth.dynamics import voting
-from docdepth.dynamics.classes import Labels, classify
-from docdepth.dynamics.clustering import cluster_objects
+from docdepth.dynamics.classes import Labels, classify, cluster_objects
 from docdepth.dynamics.key_frames import KeyFrames
-from docdepth.dynamics.track_labels import label_by_tracks
 from docdepth.dynamics.tracking import (
-    Detections,
     TakeSweep,
     TrackedSweep,
+    label_by_tracks,
     local_poses,
     track_objects,
 )
@@ -30,12 +30,8 @@ from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 
-
-class MeshedFrame(NamedTuple):
-    """A frame with its mesh, which its key frame, its objects and its classes share."""
-
-    frame: LidarFrame
-    mesh: ScanMesh | None
+_FILE_THREADS = 5
+"""Threads that read and write while they add tracks: most of them wait for the disk."""
 
 
 class Evidence(NamedTuple):
@@ -45,15 +41,43 @@ class Evidence(NamedTuple):
     ----------
     labels : Labels
     objects : ndarray of uint32, shape (N,)
-        From :func:`docdepth.dynamics.clustering.cluster_objects`.
+        From :func:`docdepth.dynamics.classes.cluster_objects`.
     """
 
     labels: Labels
     objects: NDArray[np.uint32]
 
 
+class SweepStore(Protocol):
+    """Where a drive's sweeps come from and its labels go to: memory, or a run folder.
+
+    Methods are called from several threads.
+    """
+
+    def read(self, index: int) -> LidarFrame:
+        """A sweep whose classes are ground and static."""
+        ...
+
+    def store_evidence(self, index: int, evidence: Evidence, detections: _core.Detections) -> None:
+        """Store what is needed of a sweep when tracks are known, and what they are made of."""
+        ...
+
+    def evidence(self, index: int) -> Evidence: ...
+
+    def write(self, index: int, frame: LidarFrame, labels: Labels) -> None:
+        """Take the labels of a sweep."""
+        ...
+
+
+_Meshed: TypeAlias = tuple[LidarFrame, ScanMesh | None]
+"""A sweep with its mesh, which its key frame, its objects and its classes share."""
+
+_Needed: TypeAlias = tuple[int, Future[_Meshed], list[Future[KeyFrame]]]
+"""A sweep with the key frames that vote on it."""
+
+
 class SweepClassifier:
-    """The steps from a sweep to its labels. Steps of different sweeps may run in parallel.
+    """The steps from sweeps to their labels.
 
     Parameters
     ----------
@@ -65,8 +89,6 @@ class SweepClassifier:
 
     Attributes
     ----------
-    key_frames : KeyFrames
-        For each sweep the indices of the key frames that vote on it.
     uses_tracks : bool
         Whether classes wait for :meth:`track`, which needs the detections of all sweeps.
     """
@@ -74,17 +96,72 @@ class SweepClassifier:
     def __init__(
         self, trajectory: Trajectory, parameters: DynamicsParameters, timer: Timer | None = None
     ) -> None:
-        self.key_frames = KeyFrames(trajectory, parameters)
         self.uses_tracks = parameters.evidence == "tracks"
+        self._key_frames = KeyFrames(trajectory, parameters)
         self._trajectory, self._parameters = trajectory, parameters
         self._timer = timer or Timer()
         self._local_poses = local_poses(trajectory)
 
-    def prepare(self, frame: LidarFrame) -> MeshedFrame:
-        """Make the mesh of a sweep, if key frames or objects need one."""
+    def vote_on(
+        self,
+        store: SweepStore,
+        sweeps: Sequence[int],
+        progress: Callable[[int], None],
+        threads: int,
+    ) -> None:
+        """Classify sweeps by their own votes; with tracks, store their evidence.
+
+        ``progress`` is called with the number of sweeps that are done.
+        """
+
+        def classify(needed: _Needed) -> Future[None]:
+            index, meshed, key_frames = needed
+            return self._classify(
+                store, index, meshed.result(), [key.result() for key in key_frames], writers
+            )
+
+        # A job takes one thread, since a sweep alone has too little to do for many. Others write,
+        # so that workers do not wait for the disk.
+        workers = thread_count(threads)
+        with ThreadPoolExecutor(2) as writers, ThreadPoolExecutor(workers) as pool:
+            needed = self._look_ahead(pool, workers, store, sweeps)
+            for done, written in enumerate(prefetch(pool, classify, needed, workers), 1):
+                written.result()
+                progress(done)
+
+    def _look_ahead(
+        self, pool: Executor, workers: int, store: SweepStore, order: Sequence[int]
+    ) -> Iterator[_Needed]:
+        """Each sweep with its key frames, made a little before and dropped after their last use.
+
+        Workers take jobs in the order in which they were submitted. A job that another one needs is
+        always submitted first, so no worker waits for a job that waits for a worker; and it is
+        submitted some sweeps before, so workers seldom wait at all. Memory is bounded by this
+        window and the radius of the key frames, not by the length of the drive.
+        """
+        sweeps: dict[int, Future[_Meshed]] = {}
+        key_frames: dict[int, Future[KeyFrame]] = {}
+
+        def voters(indices: Sequence[int]) -> set[int]:
+            return {k for index in indices for k in self._key_frames[index].tolist()}
+
+        for step, index in enumerate(order):
+            ahead = order[step : step + workers + 2]
+            soon, later = voters(ahead[: workers + 1]), voters(ahead)
+            key_frames = {k: made for k, made in key_frames.items() if k in soon}
+            wanted = later - key_frames.keys()
+            sweeps = {k: sweep for k, sweep in sweeps.items() if k >= index or k in wanted}
+            for k in sorted({*ahead, *later} - sweeps.keys() - key_frames.keys()):
+                sweeps[k] = pool.submit(lambda k: self._meshed(store.read(k)), k)
+            for k in sorted(soon - key_frames.keys()):
+                key_frames[k] = pool.submit(self._key_frame, sweeps[k])
+            yield index, sweeps[index], [key_frames[k] for k in self._key_frames[index].tolist()]
+
+    def _meshed(self, frame: LidarFrame) -> _Meshed:
+        """A sweep with its mesh, if key frames or objects need one."""
         p, rig = self._parameters, frame.sensor_rig
         if p.vote_model == "range_image" and p.evidence == "points":
-            return MeshedFrame(frame, None)
+            return frame, None
         # This mesh is seen from the LiDAR's place at the stamp, that of rendering from where the
         # LiDAR was when it measured each return. So they are two. Votes with moving ray origins
         # were tried: F1 0.9940 instead of 0.9941.
@@ -92,67 +169,85 @@ class SweepClassifier:
             rig = replace(rig, ego_displacement=None)
             frame = replace(frame, sensor_rig=rig)
         with self._timer("meshes"):
-            return MeshedFrame(frame, ScanMesh(frame.points, rig))
+            return frame, ScanMesh(frame.points, rig)
 
-    def key_frame(self, meshed: MeshedFrame) -> KeyFrame:
-        """Prepare a sweep to vote."""
-        frame, mesh = meshed
+    def _key_frame(self, meshed: Future[_Meshed]) -> KeyFrame:
+        frame, mesh = meshed.result()
         with self._timer("key frames"):
             return KeyFrame(frame.points, frame.ground, self._parameters, mesh, frame.sensor_rig)
 
-    def vote(self, index: int, frame: LidarFrame, key_frames: Sequence[KeyFrame]) -> Votes:
-        """Let the key frames of sweep ``index`` vote on it, in one thread."""
-        poses = self._trajectory.poses
-        earlier = int(np.searchsorted(self.key_frames[index], index))
+    def _classify(
+        self,
+        store: SweepStore,
+        index: int,
+        meshed: _Meshed,
+        key_frames: Sequence[KeyFrame],
+        writers: Executor,
+    ) -> Future[None]:
+        """Let key frames vote on a sweep, in one thread, and hand the result to the store."""
+        (frame, mesh), voters = meshed, self._key_frames[index]
+        points, ground, poses = frame.points, frame.ground, self._trajectory.poses
         with self._timer("vote"):
-            return voting.vote(
-                frame.points,
-                frame.ground,
+            votes = voting.vote(
+                points,
+                ground,
                 poses[index],
                 key_frames,
-                poses[self.key_frames[index]],
+                poses[voters],
                 threads=1,
-                earlier=earlier,
+                earlier=int(np.searchsorted(voters, index)),
             )
-
-    def classify(self, meshed: MeshedFrame, votes: Votes) -> Labels:
-        """Labels of a sweep when no tracks are used."""
-        frame, mesh = meshed
-        with self._timer("objects"):
-            classid = classify(frame.ground, votes, self._parameters, frame.points, mesh)
-        return Labels(classid, votes)
-
-    def detect(self, index: int, meshed: MeshedFrame, votes: Votes) -> tuple[Evidence, Detections]:
-        """Labels of a sweep by its own votes, and the detections that tracks are made of."""
-        frame, mesh = meshed
-        points, ground = frame.points, frame.ground
+        if not self.uses_tracks:
+            with self._timer("objects"):
+                classid = classify(ground, votes, self._parameters, points, mesh)
+            return writers.submit(store.write, index, frame, Labels(classid, votes))
         mesh = mesh or ScanMesh(points)
         with self._timer("objects"):
             objects = cluster_objects(points, ground, mesh)
             classid = classify(ground, votes, self._parameters, points, mesh, objects)
         with self._timer("detections"):
-            moving, pose = classid >= DYNAMIC, self._local_poses[index]
-            occupancy = votes.occupancy_by_sweep(self.key_frames[index], index)
-            detections = Detections(
-                points, ground, objects, moving, occupancy, mesh, pose, frame.time_offset
+            detections = _core.Detections(
+                points,
+                ground,
+                objects,
+                classid >= DYNAMIC,
+                *votes.occupancy_by_sweep(voters, index),
+                mesh.core,
+                self._local_poses[index],
+                frame.time_offset,
             )
-        return Evidence(Labels(classid, votes), objects), detections
+        kept = Labels(classid, Votes(votes.static, votes.dynamic))
+        return writers.submit(store.store_evidence, index, Evidence(kept, objects), detections)
 
     def track(
-        self, read: Callable[[int], Detections], take: TakeSweep, threads: int = 0
+        self, read: Callable[[int], _core.Detections], take: TakeSweep, threads: int = 0
     ) -> list[Track]:
         """Track objects through the drive, as :func:`track_objects` does."""
         with self._timer("tracks"):
             return track_objects(read, self._trajectory, take, threads)
 
     def label_by_tracks(
-        self, index: int, frame: LidarFrame, evidence: Evidence, result: TrackedSweep
-    ) -> Labels:
-        """Labels of a sweep with what tracks found in it."""
-        labels, objects = evidence
-        if not result:
-            return replace(labels, instance=np.zeros(len(objects), np.uint16))
-        votes, pose = labels.votes, self._local_poses[index]
-        voted = len(self.key_frames[index])
-        found = label_by_tracks(frame.points, objects, votes, labels.classid, result, pose, voted)
-        return Labels(found[0], votes, found[1])
+        self,
+        store: SweepStore,
+        tracked: Sequence[TrackedSweep],
+        sweeps: Sequence[int],
+        progress: Callable[[int], None],
+    ) -> None:
+        """Classify objects that move at another time of the drive; ``tracked`` is of each sweep."""
+
+        def add(index: int) -> None:
+            # The sweep is read once more, since tracks are known when all sweeps have voted and a
+            # drive may not fit into memory.
+            frame, (labels, objects) = store.read(index), store.evidence(index)
+            found, votes = tracked[index], labels.votes
+            classid, instance = labels.classid, np.zeros(len(objects), np.uint16)
+            if found:
+                pose, voted = self._local_poses[index], len(self._key_frames[index])
+                classid, instance = label_by_tracks(
+                    frame.points, objects, votes, classid, found, pose, voted
+                )
+            store.write(index, frame, Labels(classid, votes, instance))
+
+        with ThreadPoolExecutor(_FILE_THREADS) as pool:
+            for done, _ in enumerate(prefetch(pool, add, sweeps, _FILE_THREADS), 1):
+                progress(done)

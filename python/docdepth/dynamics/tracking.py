@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 import docdepth._core as _core
-from docdepth.dynamics.voting import OccupancyIntervals
-from docdepth.geometry.points import check_sweep
-from docdepth.geometry.scan_mesh import ScanMesh
+from docdepth.dynamics.voting import Votes
+from docdepth.geometry.points import DYNAMIC, STATIC
 from docdepth.geometry.track import MAX_TRACKS, Kind, Track
 from docdepth.geometry.trajectory import Trajectory
 
@@ -37,6 +36,16 @@ _HELD_SWEEPS = 32
 """Sweeps whose detections are in memory while objects are tracked: more than the gap over which a
 track goes on, so that few are read again."""
 
+MAX_OCCUPIED_SHARE = 0.8
+"""The rest of an object that moves in part stays static above this share of points that were always
+observed occupied: it is another object that touches the first [-]."""
+
+ALWAYS_OCCUPIED = 8
+"""A point was always observed occupied if no key frame found it free, and so many found it
+occupied. Half of the key frames suffice where these are fewer than twice as many."""
+
+BOX_MARGIN = 0.5
+"""A dynamic point without an object belongs to the box of a track up to this distance [m]."""
 
 _MEMBER = np.dtype([("first", "u4"), ("track", "u4"), ("is_dynamic", "u4")])
 _BOX = np.dtype(
@@ -84,71 +93,6 @@ TakeSweep = Callable[[TrackedSweep], None]
 """Takes what tracks found in a sweep."""
 
 
-class Detections:
-    """The objects of a sweep, with some of their points.
-
-    Parameters
-    ----------
-    points : ndarray of float32, shape (N, 3)
-        The deskewed sweep, LiDAR frame, metres.
-    ground : ndarray of bool, shape (N,)
-    objects : ndarray of uint32, shape (N,)
-        From :func:`cluster_objects`.
-    moving : ndarray of bool, shape (N,)
-        Points that the votes on this sweep make dynamic.
-    occupancy : OccupancyIntervals
-        By sweep.
-    mesh : ScanMesh
-        Of these points; tells the normals.
-    T_world_lidar : ndarray of float64, shape (4, 4)
-        From :func:`local_poses`.
-    time_offset : ndarray of float32, shape (N,), optional
-        Seconds from the stamp of the sweep to each measurement.
-
-    Raises
-    ------
-    InputError
-        A shape or dtype is wrong.
-    """
-
-    def __init__(
-        self,
-        points: NDArray[np.float32],
-        ground: NDArray[np.bool_],
-        objects: NDArray[np.uint32],
-        moving: NDArray[np.bool_],
-        occupancy: OccupancyIntervals,
-        mesh: ScanMesh,
-        T_world_lidar: NDArray[np.float64],
-        time_offset: NDArray[np.float32] | None = None,
-    ) -> None:
-        points, ground = check_sweep(points, ground)
-        self._core = _core.Detections(
-            points,
-            ground,
-            objects,
-            moving,
-            occupancy.occupied_once,
-            occupancy.first,
-            occupancy.last,
-            mesh.core,
-            T_world_lidar,
-            time_offset,
-        )
-
-    @property
-    def arrays(self) -> tuple[NDArray[Any], ...]:
-        """All of it as arrays, to be written to a file."""
-        return self._core.arrays
-
-    @classmethod
-    def of(cls, arrays: Sequence[NDArray[Any]]) -> Detections:
-        """The detections whose :attr:`arrays` these are."""
-        self = cls.__new__(cls)
-        self._core = _core.Detections.of(*arrays)
-        return self
-
-
 def local_poses(trajectory: Trajectory) -> NDArray[np.float64]:
     """Poses (n, 4, 4) with the first position as origin, where float32 resolves centimetres."""
     poses = trajectory.poses.copy()
@@ -157,7 +101,10 @@ def local_poses(trajectory: Trajectory) -> NDArray[np.float64]:
 
 
 def track_objects(
-    read: Callable[[int], Detections], trajectory: Trajectory, take: TakeSweep, threads: int = 0
+    read: Callable[[int], _core.Detections],
+    trajectory: Trajectory,
+    take: TakeSweep,
+    threads: int = 0,
 ) -> list[Track]:
     """Track dynamic objects through the drive, to find them also where votes do not.
 
@@ -199,7 +146,7 @@ def track_objects(
     """
     times = trajectory.times
     objects = _core.track_objects(
-        lambda sweep: read(sweep)._core,
+        read,
         (times - times[0]) * 1e-9,
         threads,
         lambda found: take(TrackedSweep(*found)),
@@ -244,3 +191,105 @@ def _kind(size: NDArray[np.float64], speed: float, rigid: bool) -> Kind:
     if length <= PERSON_SIZE[0] and width <= PERSON_SIZE[1] and height <= PERSON_SIZE[2]:
         return "person" if height >= MIN_PERSON_HEIGHT and speed <= MAX_CYCLING else "other"
     return "vehicle" if rigid and height >= MIN_VEHICLE_HEIGHT else "other"
+
+
+def label_by_tracks(
+    points: NDArray[np.float32],
+    objects: NDArray[np.uint32],
+    votes: Votes,
+    classid: NDArray[np.uint16],
+    result: TrackedSweep,
+    T_world_lidar: NDArray[np.float64],
+    key_frames: int,
+) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+    """Add to the classes of a sweep what tracks found in it, and tell which track each point is of.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        The deskewed sweep, LiDAR frame, metres.
+    objects : ndarray of uint32, shape (N,)
+        From :func:`cluster_objects`.
+    votes : Votes
+    classid : ndarray of uint16, shape (N,)
+        By the votes on this sweep.
+    result : TrackedSweep
+        Of this sweep.
+    T_world_lidar : ndarray of float64, shape (4, 4)
+        From :func:`local_poses`.
+    key_frames : int
+        How many key frames voted on this sweep.
+
+    Returns
+    -------
+    classid, instance : ndarray of uint16, shape (N,)
+        The instance is the track of each dynamic point, 0 if it is of none.
+    """
+    moving, ground = classid >= DYNAMIC, classid < STATIC
+    always = min(ALWAYS_OCCUPIED, key_frames / 2)
+    occupied = (votes.static >= always) & (votes.dynamic == 0)
+    moving[_tracked_rows(objects, result.dynamic, occupied, moving)] = True
+    static, dynamic = votes.static, votes.dynamic
+    inside = _core.add_points_inside(
+        points,
+        ground,
+        static,
+        dynamic,
+        T_world_lidar,
+        result.boxes[result.boxes["is_moving"] > 0],
+        result.voxels,
+        moving,
+    ).view(np.bool_)
+    every = _core.add_isolated_points(points, ground, objects, static, dynamic, inside)
+    classid = np.where(every, np.uint16(DYNAMIC), classid)
+    return classid, _instances(points, objects, classid >= DYNAMIC, result, T_world_lidar)
+
+
+def _instances(
+    points: NDArray[np.float32],
+    objects: NDArray[np.uint32],
+    dynamic: NDArray[np.bool_],
+    result: TrackedSweep,
+    T_world_lidar: NDArray[np.float64],
+) -> NDArray[np.uint16]:
+    """The track of each dynamic point: that of its object, else that of the nearest box."""
+    track_of = np.zeros(len(objects), np.uint32)
+    members = result.members[::-1]  # the longest track has the lowest number
+    track_of[members["first"]] = members["track"]
+    instance = np.where(dynamic, track_of[objects], 0)
+    loose = np.flatnonzero(dynamic & (instance == 0))
+    if len(loose) and len(result.boxes):
+        places = points[loose] @ T_world_lidar[:3, :3].T + T_world_lidar[:3, 3]
+        T = result.boxes["T_box_world"]
+        inside = np.einsum("kij,nj->kni", T[:, :, :3], places) + T[:, None, :, 3]
+        off = np.abs(inside) - result.boxes["half_size"][:, None]
+        distance = np.linalg.norm(np.maximum(off, 0), axis=2)
+        nearest = distance.argmin(axis=0)
+        near = distance[nearest, np.arange(len(loose))] <= BOX_MARGIN
+        instance[loose[near]] = result.boxes["track"][nearest[near]]
+    return np.where(instance <= MAX_TRACKS, instance, 0).astype(np.uint16)
+
+
+def _tracked_rows(
+    objects: NDArray[np.uint32],
+    tracked: NDArray[np.uint32],
+    occupied: NDArray[np.bool_],
+    moving: NDArray[np.bool_],
+) -> NDArray[np.intp]:
+    """Rows of tracked objects that become dynamic: all that are not yet, or none of an object.
+
+    Where a part of an object moves by votes, the rest stays static if nearly all of it was always
+    observed occupied.
+    """
+    rows = np.flatnonzero(_rows_of(tracked, objects) & ~moving)
+    of, count = objects[rows], len(objects)
+    of_object = np.bincount(of, minlength=count)
+    stays = np.bincount(of, occupied[rows], count) > MAX_OCCUPIED_SHARE * of_object
+    return rows[~(stays[of] & _rows_of(objects[moving], objects)[rows])]
+
+
+def _rows_of(some: NDArray[np.uint32], objects: NDArray[np.uint32]) -> NDArray[np.bool_]:
+    """Whether each row belongs to one of some objects."""
+    among = np.zeros(len(objects), bool)
+    among[some] = True
+    return among[objects]

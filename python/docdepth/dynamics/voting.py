@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from docdepth.config import DynamicsParameters
 from docdepth.errors import InputError
 from docdepth.geometry.checks import ShortRepr
 from docdepth.geometry.points import check_sweep
-from docdepth.geometry.scan_mesh import LidarMesh, ScanMesh
+from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.se3 import check_rigid
 from docdepth.geometry.sensor_rig import SensorRig, lidar_views
 
@@ -22,8 +22,7 @@ NEVER = 65535
 """Stands for a key frame where there was none."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class OccupancyIntervals(ShortRepr):
+class OccupancyIntervals(NamedTuple):
     """When the place of each point of a sweep was occupied, as far as votes tell.
 
     Attributes
@@ -112,17 +111,19 @@ class KeyFrame:
     ) -> None:
         p = parameters or DynamicsParameters()
         points, ground = check_sweep(points, ground)
-        self._views: list[tuple[_core.KeyFrame, NDArray[np.float64]]]
+        self._views: list[tuple[_core.KeyFrame, NDArray[np.float64]]] = []
         if p.vote_model == "range_image":
-            self._views = [
-                (_range_image(view.points, ground, p), view.T_lidar_sensor)
-                for view in lidar_views(points, sensor_rig)
-            ]
-        else:
-            parts = (mesh or ScanMesh(points, sensor_rig)).parts
-            self._views = [
-                (_surface_image(part, ground, p), part.view.T_lidar_sensor) for part in parts
-            ]
+            size = np.radians(p.resolution_deg), p.window, p.tolerance
+            for view in lidar_views(points, sensor_rig):
+                image = _core.RangeImage(view.points, ground, *size)
+                self._views.append((image, view.T_lidar_sensor))
+            return
+        for view, core in (mesh or ScanMesh(points, sensor_rig)).parts:
+            surface = _surface_parameters(p)
+            # The LiDAR frame has z up, the frame of one of its LiDARs need not.
+            surface.up = view.T_lidar_sensor[2, :3].tolist()
+            voter = _core.MeshImage(view.points, ground, core, surface)
+            self._views.append((voter, view.T_lidar_sensor))
 
 
 def vote(
@@ -181,6 +182,7 @@ def vote(
         for frame, T_world_key in zip(key_frames, poses, strict=True)
         for core, T_lidar_sensor in frame._views
     ]
+    views = [len(frame._views) for frame in key_frames]
     static, dynamic, once, first, last = _core.vote(
         points,
         ground,
@@ -188,28 +190,12 @@ def vote(
         [core for core, _ in voters],
         np.array([T for _, T in voters]).reshape(-1, 4, 4),
         threads,
-        sum(len(frame._views) for frame in key_frames[:earlier]),
+        sum(views[:earlier]),
     )
-    views = [len(frame._views) for frame in key_frames]
     number = np.full(NEVER + 1, NEVER, np.uint16)
     number[: sum(views)] = np.repeat(np.arange(len(views)), views)
     occupancy = OccupancyIntervals(once.view(np.bool_), number[first], number[last])
     return Votes(static, dynamic, occupancy)
-
-
-def _range_image(
-    points: NDArray[np.float32], ground: NDArray[np.bool_], p: DynamicsParameters
-) -> _core.KeyFrame:
-    return _core.RangeImage(points, ground, np.radians(p.resolution_deg), p.window, p.tolerance)
-
-
-def _surface_image(
-    part: LidarMesh, ground: NDArray[np.bool_], p: DynamicsParameters
-) -> _core.KeyFrame:
-    core = _surface_parameters(p)
-    # The LiDAR frame has z up, the frame of one of its LiDARs need not.
-    core.up = part.view.T_lidar_sensor[2, :3].tolist()
-    return _core.MeshImage(part.view.points, ground, part.core, core)
 
 
 def _surface_parameters(p: DynamicsParameters) -> _core.MeshImageParameters:

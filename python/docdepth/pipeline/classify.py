@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.concurrency import Progress, Timer, null_progress
+from docdepth.config import DynamicsParameters
 from docdepth.diagnostics.results import check_classes
-from docdepth.dynamics.scheduling import SweepWork, classify_sweeps
 from docdepth.dynamics.sweep_classifier import SweepClassifier
+from docdepth.errors import RunError
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import Chunk, chunks, label_chunk
 from docdepth.io.run_folder import RunFolder, stage_key
@@ -66,24 +68,50 @@ def run_classify(
         with stage.working() as profile:
             store.timer = timer = profile.timer
             _grow_ground(run, trajectory, ground_key, timer, workers, progress)
-
-            def map_chunks(
-                work: SweepWork, sweeps: list[int], report: Callable[[int], None]
-            ) -> None:
-                chunks = workers.cut(sweeps, trajectory.arc_length[sweeps])
-                on_chunk = partial(_classify_chunk, work, key)
-                for _, counts in workers.map_frames(run, on_chunk, chunks, timer, report):
-                    store.counts += counts
-
-            profile.frames = classify_sweeps(
-                store, trajectory, p.dynamics, progress, threads, timer, map_chunks
-            )
+            profile.frames = _classify(store, trajectory, p.dynamics, timer, workers, progress)
             store.write_tracks()
             profile.add(check_classes(store.counts))
             run.remove_tree(run.state_dir / EVIDENCE)
             remove_others(run, run.state_dir / GROUND, ground_key)
             remove_others(run, run.state_dir / TRACKING, key)
             stage.remove_outdated()
+
+
+def _classify(
+    store: FrameStore,
+    trajectory: Trajectory,
+    parameters: DynamicsParameters,
+    timer: Timer,
+    workers: WorkerPool,
+    progress: Progress | None,
+) -> int:
+    """Classify the sweeps that are not classified yet; how many these were."""
+    report, every = progress or null_progress, range(len(trajectory))
+    left = [i for i in every if not store.is_done(i)]
+    if not left:
+        return 0
+    by_tracks, known = parameters.evidence == "tracks", store.tracked() is not None
+    # Tracks are made of the evidence of all sweeps. Where they are known, few sweeps are missing.
+    needed = every if by_tracks and not known else left
+    without = [i for i in needed if not (by_tracks and store.has_evidence(i))]
+    kept = len(every) - len(without)
+    report("classify", kept, len(every))
+
+    def map_chunks(step: _Step, sweeps: list[int], done: Callable[[int], None]) -> None:
+        chunks = workers.cut(sweeps, trajectory.arc_length[sweeps])
+        on_chunk = partial(_classify_chunk, step, store.key)
+        for _, counts in workers.map_frames(store.run, on_chunk, chunks, timer, done):
+            store.counts += counts
+
+    map_chunks("votes", without, lambda done: report("classify", kept + done, len(every)))
+    if by_tracks:
+        if not known:
+            classifier = SweepClassifier(trajectory, parameters, timer)
+            store.store_tracks(
+                lambda take: classifier.track(store.detections, take, workers.threads)
+            )
+        map_chunks("tracks", left, lambda done: None)
+    return len(left)
 
 
 def _grow_ground(
@@ -129,13 +157,23 @@ def _sweep_count(chunk: Chunk) -> int:
     return len(chunk.sweeps)
 
 
+_Step: TypeAlias = Literal["votes", "tracks"]
+"""Of classification; what tracks find is known when all sweeps have voted."""
+
+
 def _classify_chunk(
-    work: SweepWork, key: dict[str, str], context: ChunkContext, sweeps: list[int]
+    step: _Step, key: dict[str, str], context: ChunkContext, sweeps: list[int]
 ) -> NDArray[np.int64]:
-    """Do a step of classification on some sweeps; the counts of those that were written."""
+    """Do a step on some sweeps; the counts of those that were written."""
     run, timer = context.run, context.timer
     trajectory = run.trajectory()
     store = FrameStore(run, key, trajectory, timer)
     classifier = SweepClassifier(trajectory, run.parameters.dynamics, timer)
-    work(classifier, store, sweeps, context.progress, context.threads)
+    if step == "votes":
+        classifier.vote_on(store, sweeps, context.progress, context.threads)
+        return store.counts
+    tracked = store.tracked()
+    if tracked is None:
+        raise RunError("there are no tracks to add; run the same command again")
+    classifier.label_by_tracks(store, tracked, sweeps, context.progress)
     return store.counts

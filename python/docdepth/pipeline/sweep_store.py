@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import docdepth._core as _core
 from docdepth.concurrency import Timer
 from docdepth.diagnostics.results import count_classes
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.sweep_classifier import Evidence
-from docdepth.dynamics.tracking import Detections, TakeSweep, TrackedSweep
+from docdepth.dynamics.tracking import TakeSweep, TrackedSweep
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import DamagedFileError
 from docdepth.geometry.lidar_frame import LidarFrame
@@ -93,7 +94,7 @@ class _GroundLabels:
 
 
 class FrameStore:
-    """The frames of a run as a :class:`docdepth.dynamics.scheduling.SweepStore`.
+    """The frames of a run as a :class:`docdepth.dynamics.sweep_classifier.SweepStore`.
 
     Parameters
     ----------
@@ -119,8 +120,8 @@ class FrameStore:
         timer: Timer | None = None,
         stage: Stage | None = None,
     ) -> None:
-        self._run, self._key, self._trajectory, self._stage = run, key, trajectory, stage
-        self._detections: OrderedDict[int, Detections] = OrderedDict()
+        self.run, self.key, self._trajectory, self._stage = run, key, trajectory, stage
+        self._detections: OrderedDict[int, _core.Detections] = OrderedDict()
         self._keeping = Lock()
         self._ground = _GroundLabels(run, trajectory)
         self.timer = timer or Timer()
@@ -128,53 +129,53 @@ class FrameStore:
 
     @property
     def _tracking(self) -> Path:
-        return self._run.state_dir / TRACKING
+        return self.run.state_dir / TRACKING
 
     def _evidence_file(self, index: int) -> Path:
-        return self._run.state_dir / EVIDENCE / self._key["classify"] / f"{index:06d}.npy"
+        return self.run.state_dir / EVIDENCE / self.key["classify"] / f"{index:06d}.npy"
 
     def is_done(self, index: int) -> bool:
-        if not self.has_tracks() and not are_stored(self._run, self._tracking, self._key):
+        if not self.has_tracks() and not are_stored(self.run, self._tracking, self.key):
             return False  # tracks are made of all sweeps
         return self._stage is not None and self._stage.is_made(index)
 
     def tracked(self) -> Sequence[TrackedSweep] | None:
-        if not are_stored(self._run, self._tracking, self._key):
+        if not are_stored(self.run, self._tracking, self.key):
             return None
         return stored_sweeps(self._tracking, len(self._trajectory))
 
     def store_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> None:
-        store_tracks(self._run, self._tracking, self._key, find)
+        store_tracks(self.run, self._tracking, self.key, find)
         self._detections.clear()
 
     def has_tracks(self) -> bool:
         """Whether the file of tracks is there, where there should be one."""
-        wanted = self._run.parameters.dynamics.evidence == "tracks"
-        return not wanted or self._run.key(self._run.path / TRACKS) == self._key
+        wanted = self.run.parameters.dynamics.evidence == "tracks"
+        return not wanted or self.run.key(self.run.path / TRACKS) == self.key
 
     def write_tracks(self) -> None:
         """Write the file of tracks, if it is not there."""
-        if self.has_tracks() or not are_stored(self._run, self._tracking, self._key):
+        if self.has_tracks() or not are_stored(self.run, self._tracking, self.key):
             return
-        found, write = stored_tracks(self._tracking), self._run.writer(self._key)
-        write_tracks(self._run.path / TRACKS, found, self._trajectory.times, write)
+        found, write = stored_tracks(self._tracking), self.run.writer(self.key)
+        write_tracks(self.run.path / TRACKS, found, self._trajectory.times, write)
 
     def has_evidence(self, index: int) -> bool:
-        return self._run.key(self._evidence_file(index)) == self._key
+        return self.run.key(self._evidence_file(index)) == self.key
 
     def read(self, index: int) -> LidarFrame:
         with self.timer("read"):
-            frame = self._run.deskewed(index)
+            frame = self.run.deskewed(index)
             ground = np.unpackbits(self._ground.read(index), count=len(frame)).view(np.bool_)
         return frame.with_ground(ground)
 
-    def store_detections(self, index: int, evidence: Evidence, detections: Detections) -> None:
+    def store_evidence(self, index: int, evidence: Evidence, detections: _core.Detections) -> None:
         self._hold(index, detections)
         labels, objects = evidence
         arrays: list[NDArray[Any]] = [objects, labels.votes.static, labels.votes.dynamic]
         arrays += [labels.classid, *detections.arrays]
         with self.timer("write"):
-            write_arrays(self._run, self._evidence_file(index), self._key, arrays)
+            write_arrays(self.run, self._evidence_file(index), self.key, arrays)
 
     def evidence(self, index: int) -> Evidence:
         with self.timer("read"):
@@ -183,7 +184,7 @@ class FrameStore:
             )
         return Evidence(Labels(classid, Votes(static, dynamic)), objects)
 
-    def detections(self, index: int) -> Detections:
+    def detections(self, index: int) -> _core.Detections:
         with self._keeping:
             held = self._detections.get(index)
         if held is None:
@@ -191,11 +192,11 @@ class FrameStore:
                 arrays = read_arrays(
                     self._evidence_file(index), _OF_DETECTIONS, skipped=_OF_EVIDENCE
                 )
-                held = Detections.of(arrays)
+                held = _core.Detections.of(*arrays)
             self._hold(index, held)
         return held
 
-    def _hold(self, index: int, detections: Detections) -> None:
+    def _hold(self, index: int, detections: _core.Detections) -> None:
         """Keep those of the last sweeps, which tracks ask for several times."""
         with self._keeping:
             self._detections[index] = detections
@@ -214,4 +215,4 @@ class FrameStore:
                 classid=labels.classid,
                 instance=labels.instance,
             )
-            write_classified(self._run, index, classified, self._key)
+            write_classified(self.run, index, classified, self.key)
