@@ -12,7 +12,7 @@ from docdepth.datasets.formats.docdepth_run import RunDataset
 from docdepth.dynamics import voting
 from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.evaluation.runs import evaluate_depth, evaluate_labels
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import Camera, View
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.se3 import rotation_exp
@@ -20,9 +20,8 @@ from docdepth.geometry.sensor_rig import SensorRig, lidar_views
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry, run_render
-from docdepth.render.depth_map import compose_depth
+from docdepth.render.depth_map import compose_depth, render_list
 from docdepth.render.render_sweep import RenderSweep
-from docdepth.render.view import View
 from docdepth.synthetic import scene, sensor, write_drive
 from docdepth.synthetic.drive import Drive
 
@@ -93,7 +92,7 @@ def test_ray_origins_follow_a_driving_lidar():
     moving = standing.with_ego_motion((20, 0, 0), time_offset)
     view = View.at(camera, right, trajectory, 0)
     drawn = [
-        compose_depth(view, trajectory, lambda _, sweep=sweep: sweep, p)
+        compose_depth(render_list(view, trajectory, lambda _, sweep=sweep: sweep, p))
         for sweep in (told, RenderSweep(replace(frame, sensor_rig=moving), p),
                       RenderSweep(frame, p))
     ]  # fmt: skip

@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from docdepth.config import RenderParameters
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import Camera, View
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.render import depth_map, layers
+from docdepth.render.depth_map import render_list
 from docdepth.render.dynamic_objects import dynamic_objects
 from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.selection import dynamic_sweep, static_sweeps
-from docdepth.render.view import View
 
 # Camera axes in the LiDAR frame: x right = -y, y down = -z, z forward = x.
 AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], dtype=np.float64)
@@ -106,13 +107,23 @@ def scattered(rng, n):
 def drawing(
     frames, trajectory=None, time=0, parameters=TRIANGLES, camera=None, T_camera_lidar=AXES
 ):
-    """The first arguments of compose_depth(). ``frames``: a list, a function, or one sweep."""
+    """The first arguments of render_list(). ``frames``: a list, a function, or one sweep."""
     if trajectory is None:
         trajectory = straight(1)
     view = View.at(camera or small_camera(), T_camera_lidar, trajectory, time)
     if isinstance(frames, RenderSweep):
         return view, trajectory, lambda _: frames, parameters
     return view, trajectory, getattr(frames, "__getitem__", frames), parameters
+
+
+def compose_depth(view, trajectory, sweeps, parameters, threads=0, renderer=None, tracks=None):
+    drawn = render_list(view, trajectory, sweeps, parameters, tracks)
+    return depth_map.compose_depth(drawn, threads, renderer)
+
+
+def compose_layers(names, depth, view, trajectory, sweeps, parameters, threads=0, tracks=None):
+    drawn = render_list(view, trajectory, sweeps, parameters, tracks)
+    return layers.compose_layers(names, depth, drawn, threads)
 
 
 def pixel_rays(camera):

@@ -9,13 +9,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from render_reference import TRIANGLES, drawing, drive, render_sweep, small_camera
+from render_reference import TRIANGLES, compose_depth, drawing, drive, render_sweep, small_camera
 
 import docdepth._core as _core
 from docdepth.config import RenderParameters
 from docdepth.errors import BackendError
 from docdepth.render import backends
-from docdepth.render.depth_map import compose_depth
 
 TIME = 130_000_000
 SOFTWARE = ("llvmpipe", "softpipe", "swrast")

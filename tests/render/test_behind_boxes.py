@@ -9,6 +9,8 @@ import pytest
 from render_reference import (
     AXES,
     TRIANGLES,
+    compose_depth,
+    compose_layers,
     followed,
     moving_track,
     pixel_rays,
@@ -17,16 +19,14 @@ from render_reference import (
 )
 
 from docdepth.errors import BackendError
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import Camera, View
 from docdepth.geometry.se3 import rotation_exp
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render import backends
-from docdepth.render.depth_map import compose_depth
-from docdepth.render.layers import AGREED, compose_layers
+from docdepth.render.layers import AGREED
 from docdepth.render.object_views import HEIGHT_MARGIN, VEHICLE_HEIGHT, boxes_in_view
 from docdepth.render.track_sweeps import seen_to_its_top
-from docdepth.render.view import View
 from lidar_rays import scan_rays
 
 CAMERA = Camera(np.array([[200.0, 0, 160], [0, 200, 80], [0, 0, 1]]), 320, 120)

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import AXES, TRIANGLES, drawing, pixel_rays, render_sweep, small_camera
+from render_reference import (
+    AXES,
+    TRIANGLES,
+    compose_depth,
+    drawing,
+    pixel_rays,
+    render_sweep,
+    small_camera,
+)
 
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.depth_map import compose_depth
 
 BOX, WALL, GAP = 8.0, 40.0, 8 * np.tan(np.radians(1.0))
 CAMERA = np.array([0.35, -0.25, -0.15])

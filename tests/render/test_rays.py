@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import drawing, pixel_rays, render_sweep
+from render_reference import compose_depth, drawing, pixel_rays, render_sweep
 
 import docdepth._core as _core
 from docdepth.config import RenderParameters
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.depth_map import compose_depth
 from lidar_rays import TURN, directions, scan_rays
 
 F = np.float32

@@ -11,6 +11,7 @@ from render_reference import (
     AXES,
     PAPER,
     TRIANGLES,
+    compose_depth,
     drawing,
     drive,
     reference,
@@ -22,7 +23,6 @@ from render_reference import (
 from docdepth.config import RenderParameters, parameters, parse_settings
 from docdepth.errors import CalibrationError, ConfigError, InputError
 from docdepth.geometry.camera import Camera
-from docdepth.render.depth_map import compose_depth
 from docdepth.render.selection import dynamic_sweep, needed_sweeps, static_sweeps
 
 

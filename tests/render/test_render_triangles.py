@@ -7,6 +7,7 @@ import pytest
 from render_reference import (
     AXES,
     TRIANGLES,
+    compose_depth,
     drawing,
     drive,
     followed,
@@ -19,7 +20,6 @@ from render_reference import (
 
 from docdepth.geometry.track import Tracks
 from docdepth.render import render_sweep as render_sweep_module
-from docdepth.render.depth_map import compose_depth
 from docdepth.render.selection import STEP_GROWTH, static_sweeps
 from lidar_rays import scan_rays
 

@@ -8,7 +8,16 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from render_reference import AXES, PAPER, TRIANGLES, drawing, render_sweep, small_camera, straight
+from render_reference import (
+    AXES,
+    PAPER,
+    TRIANGLES,
+    compose_depth,
+    drawing,
+    render_sweep,
+    small_camera,
+    straight,
+)
 
 from command_line import cli
 from docdepth.config import Parameters, parameters
@@ -19,7 +28,6 @@ from docdepth.errors import InputError
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
-from docdepth.render.depth_map import compose_depth
 from docdepth.render.scene import Scene, render_depth, render_layers
 from docdepth.render.selection import needed_sweeps
 

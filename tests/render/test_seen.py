@@ -8,6 +8,8 @@ from render_reference import (
     AXES,
     PAPER,
     TRIANGLES,
+    compose_depth,
+    compose_layers,
     drawing,
     followed,
     moving_track,
@@ -19,8 +21,7 @@ from render_reference import (
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.track import Tracks
-from docdepth.render.depth_map import compose_depth
-from docdepth.render.layers import AGREED, CONTRADICTED, NOT_LOOKED_AT, compose_layers
+from docdepth.render.layers import AGREED, CONTRADICTED, NOT_LOOKED_AT
 from lidar_rays import scan_rays
 
 GROUND, WALL = -1.7, 25.0
@@ -221,5 +222,6 @@ def test_a_moving_box_is_compared_with_rays_that_move_with_it():
 def test_splats_have_no_such_layer():
     frame = render_sweep(np.ones((3, 3), np.float32), np.full(3, 50, np.uint16), PAPER)
     depth = np.full((CAMERA.height, CAMERA.width), np.nan, np.float32)
-    with pytest.raises(InputError, match="leave the layer seen out"):
-        compose_layers(("seen",), depth, *drawing(frame, parameters=PAPER, camera=CAMERA))
+    for name in ("seen", "normal", "instance"):
+        with pytest.raises(InputError, match=f"leave the layer {name} out"):
+            compose_layers((name,), depth, *drawing(frame, parameters=PAPER, camera=CAMERA))

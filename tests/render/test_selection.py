@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import PAPER, TRIANGLES, drawing, moving_track, render_sweep
+from render_reference import PAPER, TRIANGLES, compose_depth, drawing, moving_track, render_sweep
 
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.depth_map import compose_depth
 from docdepth.render.selection import (
     STEP_GROWTH,
     _roundest,

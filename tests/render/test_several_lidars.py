@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from render_reference import (
+    compose_depth,
+    compose_layers,
     drawing,
     frame_of,
     moving_track,
@@ -16,9 +18,7 @@ from render_reference import (
 
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.track import Tracks
-from docdepth.render.depth_map import compose_depth
 from docdepth.render.dynamic_objects import dynamic_objects
-from docdepth.render.layers import compose_layers
 from docdepth.render.render_sweep import RenderSweep
 
 PLACES = ((0.0, 0.0, 0.0), (0.4, 1.3, -0.8))

@@ -25,6 +25,7 @@ from docdepth.evaluation.left_out import LeftOut, Neighbour
 from docdepth.evaluation.nearest import cloud_distance
 from docdepth.evaluation.pixels import points_of, project
 from docdepth.evaluation.tables import Band, Figures, Table, number, ratio
+from docdepth.geometry.camera import View
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
@@ -32,10 +33,9 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.plan import require
 from docdepth.pipeline.run_cameras import camera_parameters
-from docdepth.render.depth_map import compose_depth
+from docdepth.render.depth_map import compose_depth, render_list
 from docdepth.render.render_sweep import RenderSweep, prepare_sweep
 from docdepth.render.selection import needed_sweeps
-from docdepth.render.view import View
 
 
 @dataclass(frozen=True)
@@ -284,9 +284,8 @@ class _HeldOutViews:
             key = (own, whole, own == index)
             self._sweeps[key] = sweeps[k] = before.get(key) or self._sweep(*key)
         view = View(self.camera, T_camera_lidar @ inverse(trajectory.poses[index]), time)
-        return compose_depth(
-            view, others, sweeps.__getitem__, p.render, self._threads, tracks=tracks
-        )
+        drawn = render_list(view, others, sweeps.__getitem__, p.render, tracks)
+        return compose_depth(drawn, self._threads)
 
     def _sweep(self, index: int, whole: bool, judged: bool) -> RenderSweep:
         """Sweep ``index`` without what is left out of all sweeps, or of the judged one."""

@@ -1,17 +1,19 @@
-"""The pinhole camera of a depth map."""
+"""The pinhole camera of a depth map, and what it shows from where."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from hashlib import blake2b
 from operator import index
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import CalibrationError, InputError
 from docdepth.geometry.checks import ShortRepr, float_array
+from docdepth.geometry.se3 import inverse
+from docdepth.geometry.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,3 +104,38 @@ def below_horizon(camera: Camera, T_camera_lidar: NDArray[np.float64]) -> NDArra
     v, u = np.mgrid[: camera.height, : camera.width]
     rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(camera.K).T
     return np.asarray(rays @ T_camera_lidar[:3, 2] < 0)
+
+
+class View(NamedTuple):
+    """A camera at the time of an image.
+
+    Attributes
+    ----------
+    camera : Camera
+    T_camera_world : ndarray of float64, shape (4, 4)
+    time : int
+        Nanoseconds.
+    """
+
+    camera: Camera
+    T_camera_world: NDArray[np.float64]
+    time: int
+
+    @classmethod
+    def at(
+        cls, camera: Camera, T_camera_lidar: NDArray[np.float64], trajectory: Trajectory, time: int
+    ) -> View:
+        """The view of a camera that is mounted with the LiDAR, at ``time`` [ns] (paper V-A).
+
+        Raises
+        ------
+        InputError
+            ``time`` lies outside the trajectory.
+        """
+        if not trajectory.covers(time):
+            first, last = trajectory.times[[0, -1]]
+            raise InputError(
+                f"{time} ns lies outside the trajectory, which goes from {first} to {last} ns; "
+                "poses are not extrapolated, so leave this image out"
+            )
+        return cls(camera, T_camera_lidar @ inverse(trajectory.interpolate(time)[0]), int(time))

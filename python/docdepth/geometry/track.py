@@ -110,11 +110,6 @@ class Track:
         """
         return _pose_of(self, int(time))
 
-    def _row(self, time: int) -> int | None:
-        """The row of a stamp. Nearly all times that are asked for are stamps of sweeps."""
-        row = int(np.searchsorted(self.times, np.int64(time)))
-        return row if row < len(self) and self.times[row] == time else None
-
     def _beyond(self, time: int) -> NDArray[np.float64]:
         end = 0 if time < self.times[0] else -1
         seconds = (int(time) - int(self.times[end])) * 1e-9
@@ -125,20 +120,15 @@ class Track:
 
     def velocity_at(self, time: int) -> NDArray[np.float64]:
         """Velocity (3,) at ``time`` [ns] in the world frame [m/s], linear between stamps."""
-        row = self._row(int(time))
-        if row is not None:
-            return self.velocities[row].astype(np.float64)
         return np.array([self._between(time, of_axis) for of_axis in self.velocities.T])
 
     def deviation_at(self, time: int) -> float:
         """How well the place is known at ``time`` [ns]: standard deviation [m]."""
-        row = self._row(int(time))
-        return self._between(time, self.deviations) if row is None else float(self.deviations[row])
+        return self._between(time, self.deviations)
 
     def surface_deviation_at(self, time: int) -> float:
         """How well the place of its surface is known at ``time`` [ns], across itself [m]."""
-        row, known = self._row(int(time)), self.surface_deviations
-        return self._between(time, known) if row is None else float(known[row])
+        return self._between(time, self.surface_deviations)
 
     def _between(self, time: int, values: NDArray[np.float64]) -> float:
         elapsed = (self.times - self.times[0]).astype(np.float64)
@@ -149,7 +139,9 @@ class Track:
         if len(self) < 2:
             return np.zeros(3)
         after = min(max(int(np.searchsorted(self.times, np.int64(time))), 1), len(self) - 1)
-        return _turn_rate(self, after).copy()
+        turn = self.poses[after, :3, :3] @ self.poses[after - 1, :3, :3].T
+        seconds = int(self.times[after] - self.times[after - 1]) * 1e-9
+        return np.asarray(rotation_log(turn) / seconds)
 
 
 class Tracks(Mapping[int, Track]):
@@ -188,19 +180,6 @@ class Tracks(Mapping[int, Track]):
 
 @lru_cache(maxsize=_KEPT)
 def _pose_of(track: Track, time: int) -> NDArray[np.float64]:
-    row = track._row(time)
-    if row is not None:
-        pose = track._path.poses[row]
-    else:
-        pose = track._path.interpolate(time)[0] if track.covers(time) else track._beyond(time)
+    pose = track._path.interpolate(time)[0] if track.covers(time) else track._beyond(time)
     pose.setflags(write=False)
     return pose
-
-
-@lru_cache(maxsize=_KEPT)
-def _turn_rate(track: Track, after: int) -> NDArray[np.float64]:
-    """What :meth:`Track.turn_rate_at` tells between a row and the one before."""
-    turn = track.poses[after, :3, :3] @ track.poses[after - 1, :3, :3].T
-    seconds = int(track.times[after] - track.times[after - 1]) * 1e-9
-    rate: NDArray[np.float64] = rotation_log(turn) / seconds
-    return rate

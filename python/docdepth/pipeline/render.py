@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from docdepth.datasets.base import CameraStream
 from docdepth.diagnostics.calibration import edges_of_images, judge
 from docdepth.diagnostics.results import check_density
 from docdepth.errors import DatasetError, Finding
+from docdepth.geometry.camera import View
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import check_format
@@ -29,14 +30,13 @@ from docdepth.pipeline.plan import render_stage, require
 from docdepth.pipeline.run_cameras import RunCamera, add_cameras, camera_parameters, cameras_at_hand
 from docdepth.pipeline.stage import Profile, Stage
 from docdepth.render.backends import Renderer
-from docdepth.render.depth_map import compose_depth
+from docdepth.render.depth_map import compose_depth, render_list
 from docdepth.render.in_view import TracksInView
 from docdepth.render.layers import check_layers, compose_layers
 from docdepth.render.object_views import EXTRAPOLATION_NS
 from docdepth.render.render_sweep import RenderSweep, prepare_sweep
+from docdepth.render.scene import SweepCache
 from docdepth.render.selection import needed_sweeps, times_needed
-from docdepth.render.sweep_cache import SweepCache
-from docdepth.render.view import View
 from docdepth.visualization.report import index_is_whole, write_report
 
 
@@ -339,16 +339,6 @@ class _RenderChunk:
         return len(self.images)
 
 
-class _RenderContext(NamedTuple):
-    """What all images of a chunk share."""
-
-    trajectory: Trajectory
-    tracks: Tracks
-    threads: int
-    renderer: Renderer
-    timer: Timer
-
-
 def _render_images(renderer: Renderer, context: ChunkContext, chunk: _RenderChunk) -> list[float]:
     """Render images in order; meanwhile the next is prepared and the last is written.
 
@@ -359,7 +349,6 @@ def _render_images(renderer: Renderer, context: ChunkContext, chunk: _RenderChun
     """
     run, timer, images, tracks = context.run, context.timer, chunk.images, chunk.tracks
     trajectory, p = run.trajectory(), images[0].files.parameters.render
-    shared = _RenderContext(trajectory, tracks, context.threads, renderer, timer)
     views = [image.view(trajectory) for image in images]
     is_drawn = TracksInView(tracks, trajectory, views).draws
 
@@ -381,7 +370,13 @@ def _render_images(renderer: Renderer, context: ChunkContext, chunk: _RenderChun
             requested = cache.request({one for some in needed for one in some.items()}, pool)
             with timer("wait for frames"):
                 sweeps = {i: requested[i, whole].result() for i, whole in needed[0].items()}
-            depth, layers = _render_image(shared, image, views[done], sweeps)
+            names, layers = image.files.parameters.output.layers, dict[str, NDArray[Any]]()
+            with timer("draw"):
+                drawn = render_list(views[done], trajectory, sweeps.__getitem__, p, tracks)
+                depth = compose_depth(drawn, context.threads, renderer)
+            if names:
+                with timer("layers"):
+                    layers = compose_layers(names, depth, drawn, context.threads)
             if writing:
                 shares.append(writing.result())
             writing = pool.submit(_write, image, depth, layers, timer)
@@ -400,22 +395,6 @@ def _split_by_camera(images: list[ImageToRender]) -> list[ImageToRender]:
         for k, n in enumerate(numbers):
             found[n] = ImageToRender(images[n].time, part, k)
     return found
-
-
-def _render_image(
-    context: _RenderContext, image: ImageToRender, view: View, sweeps: dict[int, RenderSweep]
-) -> tuple[NDArray[np.float32], dict[str, NDArray[Any]]]:
-    p, names = image.files.parameters.render, image.files.parameters.output.layers
-    trajectory, tracks, read = context.trajectory, context.tracks, sweeps.__getitem__
-    threads = context.threads
-    with context.timer("draw"):
-        depth = compose_depth(view, trajectory, read, p, threads, context.renderer, tracks)
-    if not names:
-        return depth, {}
-    with context.timer("layers"):
-        return depth, compose_layers(
-            names, depth, view, trajectory, read, p, context.threads, tracks
-        )
 
 
 def _write(

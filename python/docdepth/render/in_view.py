@@ -11,12 +11,11 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import Camera, View
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.object_views import MAX_NONRIGID_SECONDS, object_radius, within_image
 from docdepth.render.selection import DYNAMIC_SWEEPS
-from docdepth.render.view import View
 
 Floats: TypeAlias = NDArray[np.float64]
 

@@ -26,7 +26,7 @@ Where there is no depth, floats are NaN and counts 0.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, get_args
 
 import cv2
@@ -36,11 +36,7 @@ from numpy.typing import NDArray
 import docdepth._core as _core
 from docdepth.config import Layer, RenderParameters
 from docdepth.errors import InputError
-from docdepth.geometry.track import Tracks
-from docdepth.geometry.trajectory import Trajectory
-from docdepth.render.render_list import RenderList, render_list
-from docdepth.render.render_sweep import RenderSweep
-from docdepth.render.view import View
+from docdepth.render.depth_map import RenderList
 
 LAYERS: tuple[str, ...] = get_args(Layer)
 
@@ -59,14 +55,7 @@ exact depth of synthetic drives."""
 
 
 def compose_layers(
-    names: Sequence[str],
-    depth: NDArray[np.float32],
-    view: View,
-    trajectory: Trajectory,
-    sweeps: Callable[[int], RenderSweep],
-    parameters: RenderParameters | None = None,
-    threads: int = 0,
-    tracks: Tracks | None = None,
+    names: Sequence[str], depth: NDArray[np.float32], drawn: RenderList, threads: int = 0
 ) -> dict[str, NDArray[Any]]:
     """Gather layers of a depth map of :func:`~docdepth.render.depth_map.compose_depth`.
 
@@ -80,8 +69,10 @@ def compose_layers(
         agree or not.
     depth : ndarray of float32, shape (h, w)
         Metres, NaN = none.
-    view, trajectory, sweeps, parameters, threads, tracks
-        The arguments that :func:`~docdepth.render.depth_map.compose_depth` was given.
+    drawn : RenderList
+        Of which the map was drawn.
+    threads : int
+        0 takes all cores. The result does not depend on it.
 
     Returns
     -------
@@ -93,45 +84,33 @@ def compose_layers(
     InputError
         A name is unknown, the depth map has another size than the image, or splats lack a layer.
     """
-    p, camera = parameters or RenderParameters(), view.camera
+    p, camera = drawn.parameters, drawn.view.camera
     check_layers(names, p)
     if depth.shape != (camera.height, camera.width) or depth.dtype != np.float32:
         raise InputError(
             f"depth must be float32 of shape ({camera.height}, {camera.width}) as the camera's "
             f"image, got {depth.dtype} {depth.shape}"
         )
-    drawn = render_list(view, trajectory, sweeps, p, tracks or Tracks())
-    found = _gather(names, np.ascontiguousarray(depth), view, drawn, p, threads)
-    delays = (trajectory.times[drawn.sweeps] - np.int64(view.time)).astype(np.float64) * 1e-9
-    number = found["sweep"]
-    found["time"] = np.where(number < 0, np.nan, delays[number]).astype(np.float32)
+    depth = np.ascontiguousarray(depth)
+    image = camera.K, camera.width, camera.height
+    found: dict[str, NDArray[Any]]
+    if p.primitive == "splats":
+        found = _core.splat_layers(
+            *image, drawn.static, drawn.dynamic, p.static_size, p.dynamic_size, depth, threads
+        )
+    else:
+        seen = "seen" in names or "confidence" in names
+        found = _core.mesh_layers(
+            *image, drawn.static, drawn.objects, drawn.visibility,
+            depth, threads, drawn.around, seen,
+        )  # fmt: skip
+    part = found["sweep"]
+    found["time"] = np.where(part < 0, np.nan, drawn.delays[part]).astype(np.float32)
     if "confidence" in names:
         found["confidence"] = confidence(
             depth, found["support"], found["measures"], found.get("seen")
         )
     return {name: found[name] for name in names}
-
-
-def _gather(
-    names: Sequence[str],
-    depth: NDArray[np.float32],
-    view: View,
-    drawn: RenderList,
-    p: RenderParameters,
-    threads: int,
-) -> dict[str, NDArray[Any]]:
-    """The layers of the core; ``sweep`` is the number of a part."""
-    K, width, height = view.camera.K, view.camera.width, view.camera.height
-    if p.primitive == "splats":
-        sizes = p.static_size, p.dynamic_size
-        return _core.splat_layers(
-            K, width, height, drawn.static, drawn.dynamic, *sizes, depth, threads
-        )
-    seen = "seen" in names or "confidence" in names
-    return _core.mesh_layers(
-        K, width, height, drawn.static, drawn.objects, drawn.visibility,
-        depth, threads, drawn.around, seen,
-    )  # fmt: skip
 
 
 def check_layers(names: Sequence[str], parameters: RenderParameters) -> None:

@@ -12,13 +12,12 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import Camera, View
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.selection import DrawnSweeps
 from docdepth.render.track_sweeps import lidar_range, seen_to_its_top, sweeps_of_track
-from docdepth.render.view import View
 
 MAX_NONRIGID_SECONDS = 0.12
 """Sweeps farther in time from the image are not used for objects that are not rigid [s]: a walking

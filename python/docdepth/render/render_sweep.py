@@ -12,7 +12,7 @@ import docdepth._core as _core
 from docdepth.config import RenderParameters
 from docdepth.errors import InputError
 from docdepth.geometry.lidar_frame import LidarFrame
-from docdepth.geometry.points import DYNAMIC
+from docdepth.geometry.points import DYNAMIC, check_points
 from docdepth.geometry.scan_mesh import LidarMesh, ScanMesh
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.track import Tracks
@@ -159,11 +159,7 @@ def prepare_sweep(
 
 
 def _checked(frame: LidarFrame) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
-    points, classid = np.asarray(frame.points), np.asarray(frame.classes)
-    if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float32:
-        raise InputError(
-            f"points must be float32 of shape (N, 3), got {points.dtype} {points.shape}"
-        )
+    points, classid = check_points(frame.points), np.asarray(frame.classes)
     if classid.shape != (len(points),) or classid.dtype != np.uint16:
         raise InputError(
             f"classid must be uint16 of shape ({len(points)},), one for each point; "
@@ -174,7 +170,7 @@ def _checked(frame: LidarFrame) -> tuple[NDArray[np.float32], NDArray[np.uint16]
             f"time_offset must have shape ({len(points)},), one for each point; "
             f"got {frame.time_offset.shape}"
         )
-    return np.ascontiguousarray(points), np.ascontiguousarray(classid)
+    return points, np.ascontiguousarray(classid)
 
 
 def _within_crop(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from threading import Lock
 from typing import Any, Protocol, TypeAlias
@@ -16,17 +16,16 @@ from docdepth.config import Parameters, given
 from docdepth.datasets.base import CameraStream
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.errors import InputError
+from docdepth.geometry.camera import View
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry.sweeps import AnySweep, lidar_frame
 from docdepth.render.backends import Renderer
-from docdepth.render.depth_map import compose_depth
+from docdepth.render.depth_map import RenderList, compose_depth, render_list
 from docdepth.render.layers import check_layers, compose_layers
 from docdepth.render.render_sweep import RenderSweep, prepare_sweep
 from docdepth.render.selection import needed_sweeps
-from docdepth.render.sweep_cache import SweepCache
-from docdepth.render.view import View
 
 
 class HasClasses(Protocol):
@@ -37,6 +36,42 @@ class HasClasses(Protocol):
 
 
 Classes: TypeAlias = HasClasses | NDArray[np.uint16]
+
+
+class SweepCache:
+    """Prepares each sweep the first time it is needed and forgets it when it no longer is.
+
+    Safe to use from several threads.
+
+    Parameters
+    ----------
+    load : callable
+        Prepares a sweep, given its index and whether it is needed whole; called from
+        the threads of an executor.
+    """
+
+    def __init__(self, load: Callable[[int, bool], RenderSweep]) -> None:
+        self._load = load
+        self._sweeps: dict[tuple[int, bool], Future[RenderSweep]] = {}
+        self._lock = Lock()
+
+    def request(
+        self, needed: Collection[tuple[int, bool]], executor: Executor
+    ) -> dict[tuple[int, bool], Future[RenderSweep]]:
+        """Start to prepare the missing sweeps of ``needed``; forget all others.
+
+        Returns
+        -------
+        dict of (int, bool) to Future
+            The needed sweeps. They stay valid when another thread requests others.
+        """
+        with self._lock:
+            kept = {i: sweep for i, sweep in self._sweeps.items() if i in needed}
+            for i in sorted(needed):
+                if i not in kept or (kept[i].done() and kept[i].exception() is not None):
+                    kept[i] = executor.submit(self._load, *i)
+            self._sweeps = kept
+            return dict(kept)
 
 
 class Scene:
@@ -123,6 +158,12 @@ class Scene:
             requested = self._cache.request(needed.items(), executor)
         return {i: sweep.result() for (i, _), sweep in requested.items()}
 
+    def render_list(self, view: View, threads: int = 0) -> RenderList:
+        """What is drawn into an image."""
+        sweeps = self.sweeps_at(view.time, threads)
+        p = self.parameters.render
+        return render_list(view, self.trajectory, sweeps.__getitem__, p, self.tracks)
+
     def _prepare(self, index: int, whole: bool) -> RenderSweep:
         with self._reading:  # datasets need not be safe to read from several threads
             sweep, classes = self.sweeps[index], self.labels[index]
@@ -182,8 +223,7 @@ def render_depth(
     if renderer is not None and not isinstance(renderer, Renderer):
         raise InputError(f"renderer must be docdepth.Renderer(name), not {type(renderer).__name__}")
     view = _view(scene, camera, index, time)
-    sweeps = scene.sweeps_at(view.time, threads)
-    return _drawn(scene, view, sweeps, threads, renderer)
+    return compose_depth(scene.render_list(view, threads), threads, renderer)
 
 
 def render_layers(
@@ -216,27 +256,12 @@ def render_layers(
     InputError
         As :func:`render_depth`; a name is unknown, or ``depth`` has another size.
     """
-    _check(scene, camera)
-    p = scene.parameters.render
-    check_layers(names, p)
     view = _view(scene, camera, index, time)
-    sweeps = scene.sweeps_at(view.time, threads)
-    if depth is None:
-        depth = _drawn(scene, view, sweeps, threads)
+    check_layers(names, scene.parameters.render)
+    drawn = scene.render_list(view, threads)
     return compose_layers(
-        names, depth, view, scene.trajectory, sweeps.__getitem__, p, threads, scene.tracks
+        names, compose_depth(drawn, threads) if depth is None else depth, drawn, threads
     )
-
-
-def _drawn(
-    scene: Scene,
-    view: View,
-    sweeps: dict[int, RenderSweep],
-    threads: int,
-    renderer: Renderer | None = None,
-) -> NDArray[np.float32]:
-    p, tracks = scene.parameters.render, scene.tracks
-    return compose_depth(view, scene.trajectory, sweeps.__getitem__, p, threads, renderer, tracks)
 
 
 def _view(scene: Scene, camera: CameraStream, index: int | None, time: int | None) -> View:
