@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import importlib
 import json
 import math
 import shutil
@@ -18,7 +19,7 @@ from docdepth.errors import CalibrationError, ConfigError, DatasetError, RunErro
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.evaluation.runs import evaluate_depth, evaluate_labels
 from docdepth.pipeline.run import run as run_all
-from docdepth.tuning import Judge, Outcome, Trial, grid, means, plot, read_trials, trial_run, tune
+from docdepth.tuning import Judge, Outcome, Trial, grid, means, plot, read_trials, tune
 
 pytest.importorskip("embreex")
 
@@ -51,9 +52,10 @@ def contents(path: Path) -> dict[str, str]:
 def made(monkeypatch) -> list[str]:
     """The stages that trials make, apart from those that find nothing to do."""
     told: list[str] = []
+    module = importlib.import_module("docdepth.tuning.tune")
 
     def watched(name: str):
-        original = getattr(trial_run, name)
+        original = getattr(module, name)
 
         def stage(trial, *rest, **named):
             before = (trial.path / "run.yaml").read_text()
@@ -64,7 +66,7 @@ def made(monkeypatch) -> list[str]:
         return stage
 
     for name in ("run_odometry", "run_classify", "run_render"):
-        monkeypatch.setattr(trial_run, name, watched(name))
+        monkeypatch.setattr(module, name, watched(name))
     return told
 
 

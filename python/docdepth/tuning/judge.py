@@ -12,7 +12,7 @@ from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.evaluation.runs import evaluate_depth, evaluate_labels
 from docdepth.io.run_folder import RunFolder
 
-_LABELS = ("odometry", "ground", "dynamics")
+LABELS = ("odometry", "ground", "dynamics")
 _TRUTH = {"labels": "labels", "depth": "depth_2"}
 """Folder of the truth in a recording."""
 
@@ -41,7 +41,7 @@ class Judge:
     @property
     def stages(self) -> tuple[str, ...]:
         """Stages whose parameters can change the score."""
-        return _LABELS if self.by == "labels" else (*_LABELS, "render")
+        return LABELS if self.by == "labels" else (*LABELS, "render")
 
     def check(self, run: RunFolder) -> None:
         """Refuse a truth that is not there, and a run without this camera."""

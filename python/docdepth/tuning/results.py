@@ -133,22 +133,21 @@ def plot(outcomes: Sequence[Outcome], by: str, path: Path) -> None:
         COLUMNS[by][name] for name in _PLOTTED.get(by, _PLOTTED["depth"])
     )
     drawn, axis = means(outcomes), _varying_parameter(outcomes)
+    if axis is not None:
+        drawn.sort(key=lambda outcome: outcome.settings[axis])
+    ones, others = ([outcome.metric(name) for outcome in drawn] for name in (first, second))
     figure = Figure(figsize=(8, max(4.5, 0.2 * len(drawn))), layout="constrained")
     left = figure.subplots()
     if axis is not None:
-        drawn.sort(key=lambda outcome: outcome.settings[axis])
         values = [outcome.settings[axis] for outcome in drawn]
-        left.plot(values, [outcome.metric(first) for outcome in drawn], "o-", label=label)
+        left.plot(values, ones, "o-", label=label)
         right = left.twinx()
-        right.plot(
-            values, [o.metric(second) for o in drawn], "s--", color="tab:orange", label=other
-        )
+        right.plot(values, others, "s--", color="tab:orange", label=other)
         right.set_ylabel(other)
         left.set(xlabel=axis, ylabel=label)
     else:
-        for k, outcome in enumerate(drawn, 1):
-            place = outcome.metric(second), outcome.metric(first)
-            left.plot(*place, "o", label=f"{k}: {outcome.name}")
+        for k, place in enumerate(zip(others, ones, strict=True), 1):
+            left.plot(*place, "o", label=f"{k}: {drawn[k - 1].name}")
             left.annotate(str(k), place, textcoords="offset points", xytext=(4, 4), size=8)
         left.set(xlabel=other, ylabel=label)
     figure.legend(loc="outside right upper", fontsize=8)

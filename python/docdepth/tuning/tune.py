@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from functools import cached_property
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -18,14 +20,21 @@ from docdepth.config import Parameters
 from docdepth.errors import ConfigError, RunError
 from docdepth.io.atomic import write_atomically
 from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.pipeline.classify import run_classify
+from docdepth.pipeline.odometry import run_odometry
 from docdepth.pipeline.plan import require
-from docdepth.tuning.judge import Judge
+from docdepth.pipeline.render import run_render
+from docdepth.pipeline.run_cameras import add_cameras, run_cameras
+from docdepth.pipeline.run_inputs import known_poses, open_recording, recording_of
+from docdepth.tuning.judge import LABELS, Judge
 from docdepth.tuning.results import Outcome, write_csv
-from docdepth.tuning.trial_run import make_trial
 from docdepth.tuning.trials import Trial
 
 _TRIALS = ".docdepth-trials"
 """Folder of the trials' run folders, which are deleted: nothing of the user's may lie there."""
+
+_NOT_SHARED = ("run.yaml", "lock", "records", "odometry", "map")
+"""Odometry's checkpoints belong to its parameters; records and run.yaml are copied."""
 
 
 def tune(
@@ -82,14 +91,15 @@ def tune(
     for k, (run, judge) in enumerate(zip(runs, judges, strict=True), 1):
         if out.resolve().is_relative_to(run.resolve()):
             raise ConfigError(f"{out} lies in the run {run}, which stays as it is")
-        folder = out / f"{k}_{run.resolve().name}"
         source = RunFolder.open(run)
+        own, state = source.parameters, _state(source)
         chosen = [_checked(source, judge, trial) for trial in trials]
         judge.check(source)
-        for stage in sorted({_shared(source.parameters, p, judge) for p in chosen}):
-            require(source, stage)
+        shared = any("render" in judge.stages and not _differing(own, p, *LABELS) for p in chosen)
+        require(source, "classify" if shared else "odometry")
+        folder = out / f"{k}_{run.resolve().name}"
         for trial, p in zip(trials, chosen, strict=True):
-            tasks.append(_Task(run, judge, folder, trial, p, _state(source), threads))
+            tasks.append(_Task(run, judge, folder, trial, p, state, threads))
     _run_tasks([task for task in tasks if task.outcome() is None], jobs, len(tasks), progress)
     outcomes = [found for task in tasks if (found := task.outcome()) is not None]
     write_csv(outcomes, judges[0].by, out / "tune.csv")
@@ -98,28 +108,26 @@ def tune(
 
 def _checked(source: RunFolder, judge: Judge, trial: Trial) -> Parameters:
     """The parameters of a trial, if it can be made of this run and can change its score."""
-    chosen, own = trial.parameters(source.parameters), source.parameters
+    chosen, own, inputs = (
+        trial.parameters(source.parameters),
+        source.parameters,
+        source.manifest.inputs,
+    )
     for name in trial.settings:
         stage = name.partition(".")[0]
         if stage == "output":
             raise trial.refused(f"{name} changes the files that are written, not the depth in them")
         if name != "preset" and stage not in judge.stages:
             raise trial.refused(f"{name} does not change labels; score by depth or left-out sweeps")
-    if chosen.odometry != own.odometry and source.manifest.inputs is None:
+    if inputs is None and _differing(own, chosen, "odometry"):
         raise trial.refused(f"{source.path} was not made of a recording; its odometry is given")
-    same = (chosen.ground, chosen.dynamics) == (own.ground, own.dynamics)
-    inputs = source.manifest.inputs
-    if inputs is not None and inputs.labels is not None and not same:
+    if inputs is not None and inputs.labels and _differing(own, chosen, "ground", "dynamics"):
         raise trial.refused(f"the classes of {source.path} are given, not found")
     return chosen
 
 
-def _shared(base: Parameters, chosen: Parameters, judge: Judge) -> str:
-    """The last stage of the run that a trial may share: it comes before the first that differs."""
-    if chosen.odometry != base.odometry or "render" not in judge.stages:
-        return "odometry"
-    same = (chosen.ground, chosen.dynamics) == (base.ground, base.dynamics)
-    return "classify" if same else "odometry"
+def _differing(own: Parameters, chosen: Parameters, *stages: str) -> bool:
+    return any(getattr(own, stage) != getattr(chosen, stage) for stage in stages)
 
 
 def _state(run: RunFolder) -> dict[str, Any]:
@@ -139,11 +147,7 @@ class _Task:
     state: dict[str, Any]
     threads: int
 
-    @property
-    def file(self) -> Path:
-        return self.out / f"{self.trial.name}.json"
-
-    @property
+    @cached_property
     def key(self) -> str:
         """Hash of all that the score depends on."""
         values = self.parameters.model_dump(mode="json")
@@ -154,28 +158,78 @@ class _Task:
     def outcome(self) -> Outcome | None:
         """The stored score, if it is of the same run, parameters, judge and version."""
         try:
-            found = json.loads(self.file.read_text(encoding="utf-8"))
+            found = json.loads(self._file.read_text(encoding="utf-8"))
             if found["key"] != self.key:
                 return None
             return Outcome(self.run.name, self.trial.name, self.trial.settings, found["metrics"])
         except (FileNotFoundError, ValueError, TypeError, KeyError):
             return None  # not there, or damaged
 
+    @property
+    def _file(self) -> Path:
+        return self.out / f"{self.trial.name}.json"
+
     def __call__(self) -> None:
         """Make the trial, score it, write the score and delete the trial."""
-        path, key = self.out / _TRIALS / self.trial.name, self.key
-        source, varied = RunFolder.open(self.run), set(self.trial.settings)
-        make_trial(path, source, self.parameters, varied, key, self.judge, self.threads)
+        source, path = RunFolder.open(self.run), self.out / _TRIALS / self.trial.name
+        trial = RunFolder(path)
+        if trial.manifest.trial != self.key:
+            trial = self._begin(path, source)
+        self._make(trial, source)
         metrics = self.judge.measure(path, self.threads)
         if _state(RunFolder.open(self.run)) != self.state:
             raise RunError(
                 f"another command has changed {self.run} meanwhile; run the same command again"
             )
-        content = json.dumps({"key": key, "metrics": metrics}, indent=1).encode()
-        write_atomically(self.file, lambda stream: stream.write(content))
+        content = json.dumps({"key": self.key, "metrics": metrics}, indent=1).encode()
+        write_atomically(self._file, lambda stream: stream.write(content))
         shutil.rmtree(path)
         with contextlib.suppress(OSError):
             path.parent.rmdir()  # unless it holds another trial
+
+    def _begin(self, path: Path, source: RunFolder) -> RunFolder:
+        """A copy of the run with the trial's parameters, whose results are links.
+
+        The run is only read: a stage never writes into a file but puts another in its place.
+        """
+        shutil.rmtree(path, ignore_errors=True)
+        root, state = source.path.resolve(), source.state_dir.resolve()
+
+        def not_shared(folder: str, names: list[str]) -> list[str]:
+            return [n for n in names if Path(folder) in (root, state) and n in _NOT_SHARED]
+
+        shutil.copytree(root, path, copy_function=os.symlink, ignore=not_shared)
+        trial = RunFolder(path)
+        if (state / "records").is_dir():
+            shutil.copytree(state / "records", trial.state_dir / "records")
+        changes = {"trial": self.key, "parameters": self.parameters}
+        trial.manifest = source.manifest.model_copy(update=changes, deep=True)
+        settings, preset = self.trial.settings, "preset" in self.trial.settings
+        for name, camera in trial.cameras.items():
+            # The trial wins over them; a preset replaces everything but the kind of files.
+            kept = {
+                key: value
+                for key, value in camera.settings.items()
+                if key not in settings and not (preset and key.startswith("render."))
+            }
+            trial.cameras[name] = camera.model_copy(update={"settings": kept})
+        trial.save()  # last: without it, the trial is begun anew
+        return trial
+
+    def _make(self, trial: RunFolder, source: RunFolder) -> None:
+        """Make all that the judge looks at and that the parameters change."""
+        if _differing(source.parameters, self.parameters, "odometry"):
+            recording = open_recording(trial.inputs, trial.manifest.derived)
+            poses = known_poses(trial.inputs, recording)
+            run_odometry(trial, recording, poses, threads=self.threads)
+        run_classify(trial, self.threads)
+        if self.judge.by == "depth":
+            recording = recording_of(trial)
+            if not trial.cameras:
+                add_cameras(trial, list(recording.cameras.values()))
+            name = trial.camera_in(trial.depth_folder(self.judge.camera))
+            cameras = run_cameras(trial, recording, [name])
+            run_render(trial, [camera.stream for camera in cameras], self.threads)
 
 
 def _run_tasks(tasks: list[_Task], jobs: int, total: int, progress: Progress | None) -> None:
