@@ -167,11 +167,6 @@ def millimetres(at: Path) -> None:
         cv2.imwrite(str(at / "mm" / f"{file.stem}.png"), depth)
 
 
-def without_rotation(Tr: np.ndarray) -> np.ndarray:
-    Tr[0, 0] = 5
-    return Tr
-
-
 def half_nan(rows: np.ndarray) -> np.ndarray:
     rows[::2, :3] = np.nan
     return rows
@@ -198,8 +193,6 @@ RECORDINGS = [
     ("calib.txt empty", NEW, write("d/calib.txt", b""), DatasetError, "calib.txt"),
     ("calib.txt binary", NEW, write("d/calib.txt", bytes(range(256))), DatasetError, "calib.txt"),
     ("no Tr", NEW, lines("d/calib.txt", lambda x: x[:-1]), DatasetError, "Tr"),
-    ("Tr no rotation", NEW, extrinsics(without_rotation), DatasetError, "Tr rotation"),
-    ("Tr of zeros", NEW, extrinsics(lambda Tr: Tr * 0), DatasetError, "Tr rotation"),
     ("Tr in mm", NEW, extrinsics(lambda Tr: Tr * [1, 1, 1, 1000]), DatasetError, "Tr metres"),
     ("Tr of NaN", NEW, extrinsics(lambda Tr: Tr * np.nan), DatasetError, "Tr finite"),
     ("Tr, rows swapped", NEW, extrinsics(lambda Tr: Tr[[1, 0, 2]]), DatasetError, "Tr"),
@@ -251,11 +244,18 @@ RECORDINGS = [
      OdometryError, "p.txt"),
     ("image times: a folder", [*NEW, "--camera-times", "d"], None, DatasetError, "folder"),
     ("image times: a sweep", [*NEW, "--camera-times", SWEEP], None, DatasetError, "000002.bin"),
+    ("no image in time", [*NEW, "--camera-times", "t.txt"], write("t.txt", b"90\n91\n92\n93\n"),
+     DatasetError, "image_2"),
     ("docdepth.yaml broken", NEW, write("d/docdepth.yaml", b"a: [1"), DocDepthError, ".yaml"),
     ("docdepth.yaml a list", NEW, write("d/docdepth.yaml", b"- 1\n"), DocDepthError, ".yaml"),
     ("labels too few", evaluate("labels", "d"), cut("d/labels/000002.label", 0.5), DatasetError,
      "000002.label"),
-    ("no labels", evaluate("labels", "no"), None, DatasetError, "no"),
+    ("labels of odd bytes", evaluate("labels", "d"), write("d/labels/000002.label", b"abc"),
+     DatasetError, "000002.label uint32"),
+    ("labels: one away", evaluate("labels", "d"), remove("d/labels/000002.label"), DatasetError,
+     "000002.label read"),
+    ("no labels", evaluate("labels", "no"), None, DatasetError, "no is not there"),
+    ("no depth", evaluate("depth", "no"), None, DatasetError, "no is not there"),
     ("own labels", evaluate("labels", "r"), None, DocDepthError, "r"),
     ("depth broken", evaluate("depth", "d"), cut("d/depth_2/000001.npy", 0.5), DatasetError,
      "000001.npy"),
@@ -300,8 +300,21 @@ OPTIONS = [
     ("config: broken", *config(b"a: [1\n"), ConfigError, "c.yaml line"),
     ("config: a typo", *config(b"odometry: {max_rage: 80}\n"), ConfigError, "c.yaml max_rage"),
     ("config: twice", *config(b"render: {step: 1}\nrender: {step: 2}\n"), ConfigError, "render"),
+    ("config: too small", *config(b"odometry: {max_range: -1}\n"), ConfigError, "c.yaml max_range"),
+    ("config: a preset", *config(b"preset: best\n"), ConfigError, "c.yaml best"),
+    ("config: no recording", *config(b"inputs: {recording: 3}\nparameters: {}\n"), ConfigError,
+     "c.yaml run.yaml"),
+    ("neither", ["run", "-o", "n"], None, ConfigError, "recording"),
     ("config: half", *config(b"source: {dataset: 3}\nparameters: {}\n"), ConfigError, "c.yaml"),
     ("no --K", ["render", "r", "--pose", "0,0,1"], None, DocDepthError, "--K"),
+    ("no --pose", ["render", "r", "--name", "wide"], None, DocDepthError, "--pose"),
+    ("no pose", ["render", "r", "--camera-times", "t.txt"], None, DocDepthError, "--pose"),
+    ("half a pose", ["render", "r", "--pose", "0,0", "--K", "9,9,4,3", "--size", "9x7"], None,
+     DocDepthError, "rigid"),
+    ("half a K", ["render", "r", "--pose", "0,0,1", "--K", "9,9,4", "--size", "9x7"], None,
+     DocDepthError, "fx,fy,cx,cy"),
+    ("half an image", [*VIRTUAL, "--size", "9"], None, DocDepthError, "WIDTHxHEIGHT"),
+    ("a name 1.png", [*VIRTUAL, "--size", "9x7", "--name", "1.png"], None, DocDepthError, "folder"),
     ("a huge image", [*VIRTUAL, "--size", "100000x100000"], None, DocDepthError, "GB"),
     ("an empty image", [*VIRTUAL, "--size", "0x0"], None, DocDepthError, "0"),
     ("a name ../x", [*VIRTUAL, "--size", "9x7", "--name", "../x"], None, DocDepthError, "../x"),

@@ -24,7 +24,6 @@ from docdepth.io.run_folder import RunFolder
         (["synth", "out", "--scene", "town"], "'town' is unknown; there are"),
         (["synth", "out", "--sensor", "VLP16"], "did you mean VLP-16?"),
         (["run", "d", "-o", "r", "--layers", "class,tiem"], "did you mean time?"),
-        (["video", "r", "--fps", "1e9"], "1000"),
     ],
 )
 def test_an_unknown_name_is_answered_with_the_known_ones(docdepth, words, message):
@@ -91,6 +90,18 @@ def test_a_run_is_told_in_json(docdepth, drive, tmp_path):
     assert "odometry" in ended.err  # progress
 
 
+@pytest.mark.parametrize(
+    ("verb", "setting"),
+    [("render", "render.max_depth=700"), ("render", "render.ahead=-1"), ("odometry", "x.y=1")],
+)
+def test_a_refused_setting_is_not_kept(finished, verb, setting):
+    manifest = finished[0] / "run.yaml"
+    before = manifest.read_text()
+    assert cli(verb, finished[0], "--set", setting).exit_code == 2
+    assert manifest.read_text() == before
+    assert cli("render", finished[0]).exit_code == 0
+
+
 class TestConfig:
     def write(self, folder, tree):
         path = folder / "config.yaml"
@@ -135,28 +146,15 @@ class TestConfig:
         given = read_config(self.write(tmp_path, {"dynamics": {"coarse_radius": 80}}))
         assert parameters("paper", given.settings).dynamics.coarse_radius == 80
 
-    @pytest.mark.parametrize(
-        ("tree", "message"),
-        [
-            ({"odometry": {"max_rage": 80}}, "max_rage"),
-            ({"odometry": {"max_range": -1}}, "odometry.max_range"),
-            ({"preset": "best"}, "best"),
-            ({"inputs": {"recording": 3}, "parameters": {}}, "damaged run.yaml"),
-            ("text", "holds no parameters"),
-        ],
-    )
-    def test_a_wrong_file_is_named(self, docdepth, drive, tmp_path, tree, message):
-        config = self.write(tmp_path, tree)
-        ended = docdepth("run", drive, "-o", tmp_path / "run", "--config", config)
-        assert ended.code == 2
-        assert str(config) in ended.err
-        assert message in ended.err
-        assert not (tmp_path / "run").exists()
 
-    def test_without_a_recording_the_command_says_so(self, docdepth, tmp_path):
-        ended = docdepth("run", "-o", tmp_path / "run")
-        assert ended.code == 2
-        assert "no recording" in ended.err
+def in_new_process(script: str, variable: str, wanted: str | None) -> list[str]:
+    """What a script prints where this environment variable is set, or is not."""
+    environment = {name: value for name, value in os.environ.items() if name != variable}
+    if wanted:
+        environment[variable] = wanted
+    command = [sys.executable, "-c", script]
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    return result.stdout.split()
 
 
 @pytest.mark.parametrize("wanted", [None, "2"])
@@ -171,12 +169,7 @@ def test_numpy_multiplies_in_the_calling_thread(wanted: str | None) -> None:
         "name = 'scipy_openblas_get_num_threads64_'\n"
         "print(taken, getattr(library, name)() if hasattr(library, name) else 'other')\n"
     )
-    environment = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
-    if wanted:
-        environment["OPENBLAS_NUM_THREADS"] = wanted
-    command = [sys.executable, "-c", script]
-    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    taken, threads = result.stdout.split()
+    taken, threads = in_new_process(script, "OPENBLAS_NUM_THREADS", wanted)
     if threads == "other":
         pytest.skip("numpy without its own OpenBLAS")
     assert taken == str(wanted is None)
@@ -193,9 +186,5 @@ def test_waiting_threads_sleep(wanted: str | None) -> None:
         "have_threads_sleep()\n"
         "print(os.environ['OMP_WAIT_POLICY'], 'small_gicp' in sys.modules)\n"
     )
-    environment = {k: v for k, v in os.environ.items() if k != "OMP_WAIT_POLICY"}
-    if wanted:
-        environment["OMP_WAIT_POLICY"] = wanted
-    command = [sys.executable, "-c", script]
-    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    assert result.stdout.split() == [wanted or "PASSIVE", "False"]
+    told = in_new_process(script, "OMP_WAIT_POLICY", wanted)
+    assert told == [wanted or "PASSIVE", "False"]

@@ -62,9 +62,16 @@ def test_durations(seconds, text):
     assert _duration(seconds) == text
 
 
-@pytest.mark.parametrize("what", ["labels", "depth"])
-def test_evaluations_tell_their_progress(docdepth, drive, finished, what):
-    ended = docdepth("evaluate", what, finished[0], f"--{what}", drive)
-    last = [line for line in ended.err.splitlines() if line.startswith(f"{what} ")][-1]
-    assert last.split(",")[0] in (f"{what} 5/5", f"{what} 4/4")
+@pytest.mark.parametrize(
+    ("options", "last"),
+    [
+        (["labels", "--labels"], "labels 5/5"),
+        (["depth", "--depth"], "depth 4/4"),
+        (["held-out", "--every", "2"], "held out 2/2"),
+    ],
+)
+def test_evaluations_tell_their_progress(docdepth, drive, finished, options, last):
+    verb, *options = options
+    ended = docdepth("evaluate", verb, finished[0], *options, *[drive] * (verb != "held-out"))
     assert ended.code == 0
+    assert any(line.startswith(last) for line in ended.err.splitlines())

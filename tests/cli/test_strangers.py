@@ -5,12 +5,13 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
+from command_line import cli
 from docdepth.cli.status import changes_since_start
 from docdepth.config import replaced
+from docdepth.io.frames import read_frame
 from docdepth.io.run_folder import RunFolder
 
 
@@ -61,31 +62,6 @@ def test_one_command_takes_back_all_changes_of_a_stage(finished):
     assert sentence.endswith("--set render.ahead=80.0 --set render.crop=300.0")
 
 
-@pytest.mark.parametrize("what", ["labels", "depth"])
-def test_a_run_is_no_truth_for_itself(docdepth, finished, what):
-    ended = docdepth("evaluate", what, finished[0], f"--{what}", finished[0] / what)
-    assert ended.code == 2
-    assert "lies in the run" in ended.err
-
-
-def test_truth_of_another_scale_is_told(docdepth, drive, finished, tmp_path):
-    for file in (drive / "depth_2").glob("*.npy"):
-        millimetres = np.clip(np.nan_to_num(np.load(file), posinf=0) * 1000, 0, 65535)
-        cv2.imwrite(str(tmp_path / f"{file.stem}.png"), millimetres.astype(np.uint16))
-    ended = docdepth("evaluate", "depth", finished[0], "--depth", tmp_path)
-    assert "is 3.9" in ended.err
-    assert "is the scale another?" in ended.err
-    assert "warning:" not in docdepth("evaluate", "depth", finished[0], "--depth", drive).err
-
-
-def test_a_name_that_stands_twice_in_a_settings_file(docdepth, drive, tmp_path):
-    file = tmp_path / "c.yaml"
-    file.write_text("dynamics: {tolerance: 0.3}\ndynamics: {window: 3}\n")
-    ended = docdepth("run", drive, "-o", tmp_path / "run", "--config", file)
-    assert ended.code == 2
-    assert "'dynamics' stands twice" in ended.err
-
-
 def test_paragraphs_of_help_are_broken_at_the_width_of_the_terminal_alone(docdepth, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     said = [line.strip() for line in docdepth("run", "-h").out.splitlines()]
@@ -104,7 +80,19 @@ def test_a_folder_that_was_deleted_while_one_stands_in_it(docdepth, drive, tmp_p
     assert "was the folder that you stand in deleted?" in ended.err
 
 
-def test_more_threads_than_the_core_takes(docdepth, finished):
-    ended = docdepth("render", finished[0], "--threads", "999")
-    assert ended.code == 2
-    assert "less than or equal to 256" in ended.err
+def test_unusable_points_are_kept_apart(drive, tmp_path):
+    broken = tmp_path / "drive"
+    shutil.copytree(drive, broken)
+    path = broken / "velodyne" / "000002.bin"
+    points = np.fromfile(path, np.float32).reshape(-1, 4)
+    points[:50, 0] = np.nan
+    points[50:90, 1] = np.inf
+    points[90:120, :3] = 0
+    points.tofile(path)
+    run = tmp_path / "run"
+    result = cli("run", broken, "-o", run)
+    assert result.exit_code == 0, result.output
+    frame = read_frame(run / "frames" / "frame_000002.ply")
+    np.testing.assert_array_equal(frame.index, np.arange(120, len(points)))
+    assert np.isfinite(frame.points).all()
+    assert len(np.fromfile(run / "labels" / "000002.label", np.uint32)) == len(points)
