@@ -110,18 +110,6 @@ def test_poses(tmp_path, kind, message):
     np.testing.assert_allclose(dataset.poses, DRIVE.poses, atol=1e-9)
 
 
-def test_poses_lie_between_messages(tmp_path):
-    """Straight ahead at 10 m/s, told ten times a second and never at a sweep."""
-    first = int(DRIVE.times[0])
-    times = first - 30_000_000 + 100_000_000 * np.arange(6)
-    poses = np.repeat(np.eye(4)[None], 6, axis=0)
-    poses[:, 0, 3] = 10.0 * (times - first) * 1e-9
-    dataset = open_dataset(with_odometry(tmp_path, times, poses, "lidar"))
-    expected = np.repeat(np.eye(4)[None], len(dataset), axis=0)
-    expected[:, 0, 3] = 10.0 * (DRIVE.times - first) * 1e-9
-    np.testing.assert_allclose(dataset.poses, expected, atol=1e-9)
-
-
 def test_sweeps_outside_are_left_out(tmp_path, caplog):
     dataset = open_dataset(with_odometry(tmp_path, DRIVE.times[1:4]))
     check(dataset, "bag")
@@ -224,13 +212,6 @@ def test_transforms(tmp_path, kind):
     dataset = open_dataset(bag.path)
     check(dataset, "bag")
     np.testing.assert_allclose(dataset.poses, DRIVE.poses, atol=1e-9)
-
-
-def test_a_transform_that_is_told_once_does_not_move(tmp_path):
-    with Bag(tmp_path, static=False, poses="/tf") as bag:
-        bag.move("lidar", "base_link", DRIVE.times[:1] - 10**9, T_BODY_LIDAR[None])
-        bag.move("base_link", "map", BODY.times, BODY.poses)
-    np.testing.assert_allclose(open_dataset(bag.path).poses, DRIVE.poses, atol=1e-9)
 
 
 def test_transforms_of_a_frame_that_is_said(tmp_path):

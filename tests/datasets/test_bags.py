@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import yaml
 from bags import BagWriter, padded_rows, write_drive
-from captures import HESAI_PACKETS, hesai_drive, write_capture
 from conformance import check, differences
 from made_up import DISTORTION, DRIVE, EMPTY, SIZE, K
 
@@ -103,43 +102,6 @@ def test_livox_messages(tmp_path: Path, kind: str, package: str) -> None:
     np.testing.assert_allclose(sweep.relative_time, rows["share"] + 0.5, atol=1e-6)
     np.testing.assert_array_equal(sweep.ring, rows["ring"])
     np.testing.assert_array_equal(sweep.intensity, rows["intensity"])
-
-
-@pytest.mark.parametrize("kind", ["ros1", "db3"])
-def test_packets_of_a_hesai_are_those_of_a_capture(tmp_path: Path, kind: str) -> None:
-    pytest.importorskip("dpkt")
-    from rosbags.typesys import get_types_from_msg
-
-    from docdepth.datasets.formats.bag.bag_file import _DEFINITIONS
-
-    path = place(tmp_path, kind)
-    names = [f"pandar_msgs/msg/{name}" for name in ("PandarPacket", "PandarScan")]
-    packets = [one for one in hesai_drive() if len(one[1]) == 1080]
-    with BagWriter(path, kind) as bag:
-        for name in names:
-            bag.types.register(get_types_from_msg(_DEFINITIONS[name], name))
-        for k, time in enumerate(DRIVE.times.tolist()):
-            messages = [
-                bag.make(names[0], bag.stamp(t), np.frombuffer(data.ljust(1500), np.uint8), 1080)
-                for t, data in packets[HESAI_PACKETS * k : HESAI_PACKETS * (k + 1)]
-            ]
-            bag.write("/packets", bag.make(names[1], bag.header(time, "hesai"), messages), time)
-    dataset = open_dataset(path)
-    check(dataset, "bag")
-    write_capture(tmp_path / "drive.pcap", packets)
-    other = open_dataset(tmp_path / "drive.pcap")
-    for name in ("points", "ring", "intensity"):
-        sweep, same = getattr(dataset.sweep(3), name), getattr(other.sweep(3), name)
-        np.testing.assert_array_equal(sweep, same)
-    late = other.sweep(3).relative_time
-    np.testing.assert_allclose(dataset.sweep(3).relative_time, late, atol=1e-5)
-
-
-def test_angles_of_a_lidar_that_is_no_hesai(tmp_path: Path) -> None:
-    path = points_alone(tmp_path / "drive", "db3", lambda bag, k, t: bag.cloud(padded_rows(k), t))
-    say(path, lidars={"/points": {"angles": "xt32.csv"}})
-    with pytest.raises(DatasetError, match=r"/points: angles are those of a Hesai.*PointCloud2"):
-        open_dataset(path)
 
 
 # ---- images and cameras
@@ -266,11 +228,6 @@ def test_extrinsics_that_are_sent_over_and_over(tmp_path: Path, topic: str) -> N
     np.testing.assert_allclose(T, DRIVE.T_camera_lidar, atol=1e-12)
 
 
-def test_frames_that_move_are_no_extrinsics(tmp_path: Path) -> None:
-    path = one_camera(tmp_path / "a", transforms="/tf", moves=lambda k: DRIVE.poses[k])
-    assert open_dataset(path).cameras == {}
-
-
 @pytest.mark.parametrize("wrong", ["rotation", "translation"])
 def test_a_static_transform_that_is_none_is_named(tmp_path: Path, wrong: str, caplog) -> None:
     with BagWriter(tmp_path / "drive", "db3") as bag:
@@ -283,21 +240,6 @@ def test_a_static_transform_that_is_none_is_named(tmp_path: Path, wrong: str, ca
         bag.write("/tf_static", message, 1)
     open_dataset(tmp_path / "drive")
     assert "the static transform of 'wheel' in 'lidar' is left out: " in caplog.text
-
-
-def test_a_sweep_without_points_and_a_video_tell_what_to_do(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "drive", "db3") as bag:
-        for k, time in enumerate(DRIVE.times.tolist()):
-            bag.write("/points", bag.cloud(padded_rows(k)[: 0 if k == 1 else None], time), time)
-            film = bag.compressed(bytes(99), time, format="h264")
-            bag.write("/cam/image_raw/compressed", film, time)
-            bag.write("/cam/camera_info", bag.camera_info(K, np.zeros(5), SIZE, time), time)
-        bag.write("/tf_static", bag.transform("lidar", "camera", DRIVE.T_camera_lidar), 5)
-    dataset = open_dataset(tmp_path / "drive")
-    with pytest.raises(DatasetError, match=r"\(frame 1\) holds no points"):
-        dataset.sweep(1)
-    with pytest.raises(DatasetError, match=r"h264.*; record JPEG, PNG or raw images"):
-        dataset.cameras["cam"].rectified_image(0)
 
 
 def test_compressed_images_and_a_fisheye(tmp_path: Path) -> None:

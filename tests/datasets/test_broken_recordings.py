@@ -11,7 +11,7 @@ import pytest
 from formats import WRITERS
 from made_up import DRIVE
 
-from docdepth.datasets import FrameRange, open_dataset
+from docdepth.datasets import open_dataset
 from docdepth.errors import (
     CalibrationError,
     Collector,
@@ -61,13 +61,6 @@ def test_all_problems_of_a_raw_drive_are_told_together(tmp_path: Path) -> None:
     assert len(caught.value.errors) == len(names)
     for name, problem in zip(names, caught.value.errors, strict=True):
         assert name in problem.text
-
-
-def test_one_problem_stays_a_sentence_of_its_class(copy: Path) -> None:
-    (copy / "calib.txt").unlink()
-    with pytest.raises(CalibrationError, match=r"^[^\n]*calib.txt is missing; [^\n]*$") as caught:
-        open_dataset(copy)
-    assert not isinstance(caught.value, SeveralProblems)
 
 
 def test_a_collector_goes_on_after_errors_of_docdepth_alone() -> None:
@@ -164,24 +157,6 @@ def test_a_run_beside_a_recording_is_no_second_one(copy: Path) -> None:
 
 
 # ---- a range of frames
-
-
-@pytest.mark.parametrize(
-    ("frames", "first", "count"), [("1:3", 1, 2), (":2", 0, 2), ("3:", 3, 2), ("2:99", 2, 3)]
-)
-def test_a_range_of_frames(drive: Path, frames: str, first: int, count: int) -> None:
-    whole, part = open_dataset(drive), open_dataset(drive, frames=frames)
-    assert isinstance(part, FrameRange)
-    assert len(part) == count
-    last = first + count - 1
-    np.testing.assert_array_equal(part.times, whole.times[first : last + 1])
-    assert part.poses is not None
-    assert whole.poses is not None
-    np.testing.assert_array_equal(part.poses, whole.poses[first : last + 1])
-    assert part.sweep(0).name == f"{first:06d}"
-    np.testing.assert_array_equal(part.sweep(count - 1).points, whole.sweep(last).points)
-    np.testing.assert_array_equal(part.labels(0), whole.labels(first))
-    assert part.sweep_files(0) == whole.sweep_files(first)
 
 
 def test_a_range_has_the_images_of_its_time(drive: Path) -> None:

@@ -29,9 +29,7 @@ from conformance import check
 from made_up import DRIVE
 
 from docdepth.datasets import open_dataset, usable_points
-from docdepth.datasets.base import LidarStream
-from docdepth.datasets.cloud import Cloud
-from docdepth.datasets.formats.pcap import hesai, ouster
+from docdepth.datasets.formats.pcap import hesai
 from docdepth.errors import DatasetError
 
 
@@ -100,36 +98,6 @@ def test_a_real_capture(recordings: Path) -> None:
     assert (usable_points(dataset.sweep(1).points)).sum() == 107357
     steps = np.diff(estimate_poses(dataset)[:, :3, 3], axis=0)
     np.testing.assert_allclose(np.linalg.norm(steps, axis=1), 0.25, atol=0.03)
-
-
-def test_what_is_said_of_an_ouster_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Boxes, up and the duration of sweeps, as of other recordings; without ouster-sdk."""
-
-    class Capture:
-        height = 0.04
-        stream = LidarStream("ouster", DRIVE.times, [str(time) for time in DRIVE.times])
-
-        def __init__(self, path: Path, metadata: Path) -> None:
-            self.path = path
-
-        def read(self, index: int) -> Cloud:
-            late = np.round(DRIVE.seconds(index) * 1e9).astype(np.int64)
-            return Cloud(DRIVE.points(index), times=late - late.min())
-
-        def files(self, index: int) -> list[Path]:
-            return [self.path]
-
-    monkeypatch.setattr(ouster, "OusterCapture", Capture)
-    for name in ("drive.pcap", "drive.json"):
-        (tmp_path / name).touch()
-    said = "up: [0, 0.1, 1]\nego_boxes: [[-50, 50], [-50, 50], [-50, 50]]\n"
-    (tmp_path / "docdepth.yaml").write_text(said)
-    dataset = open_dataset(tmp_path / "drive.pcap")
-    assert dataset.up == (0, 0.1, 1)
-    assert (np.linalg.norm(dataset.sweep(1).points[usable_points(dataset.sweep(1).points)], axis=1)
-            > 50).all()  # fmt: skip
-    (tmp_path / "docdepth.yaml").write_text("sweep_duration: 0.2\n")
-    assert len(open_dataset(tmp_path / "drive.pcap")) < DRIVE.count
 
 
 def test_a_capture_that_ends_within_a_packet(tmp_path: Path, caplog) -> None:

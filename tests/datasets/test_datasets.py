@@ -18,7 +18,7 @@ from kitti_drives import (
     write_sweeps,
 )  # fmt: skip
 
-from docdepth.datasets import Dataset, open_dataset, usable_points
+from docdepth.datasets import open_dataset, usable_points
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.se3 import inverse
 from docdepth.io.poses import read_poses, write_kitti
@@ -69,20 +69,6 @@ def test_a_missing_sweep_keeps_the_others_at_their_times(raw: Path) -> None:
     np.testing.assert_array_equal(open_dataset(raw).times, times[[0, 2, 3]])
 
 
-def test_sequence(sequence: Path) -> None:
-    dataset = open_dataset(sequence)
-    assert isinstance(dataset, Dataset)
-    assert (dataset.name, len(dataset), dataset.poses) == ("kitti_odometry", 4, None)
-    assert dataset.times.tolist() == [0, 103622400, 207240000, 310000000]
-    assert dataset.sweep(1).relative_time is None, "KITTI's sequences are motion compensated"
-    stream = dataset.cameras["image_2"]
-    assert (stream.camera.width, stream.camera.height) == (1242, 375)
-    point = np.array([10.0, 2, -1])
-    pixel = P @ np.append(R_VELO @ point + T_VELO, 1)
-    ours = stream.camera.K @ (stream.T_camera_lidar @ np.append(point, 1))[:3]
-    np.testing.assert_allclose(ours, pixel, rtol=1e-9)
-
-
 @pytest.mark.parametrize("place", ["poses.txt", "../../poses/07.txt"])
 def test_sequence_poses_become_the_lidars(sequence: Path, place: str) -> None:
     lidar = some_poses(4)
@@ -91,14 +77,6 @@ def test_sequence_poses_become_the_lidars(sequence: Path, place: str) -> None:
     (sequence / place).parent.mkdir(exist_ok=True)
     write_kitti(sequence / place, Tr @ lidar @ inverse(Tr))
     np.testing.assert_allclose(open_dataset(sequence).poses, lidar, atol=1e-9)
-
-
-def test_semantic_kitti_is_detected_by_its_labels(sequence: Path) -> None:
-    (sequence / "labels").mkdir()
-    np.full(52, 251, "<u4").tofile(sequence / "labels" / "000002.label")
-    dataset = open_dataset(sequence)
-    assert dataset.name == "semantic_kitti"
-    assert (dataset.labels(2) == 251).all()
 
 
 def test_raw_sequence_with_point_times_and_a_camera_between_sweeps(sequence: Path) -> None:

@@ -17,10 +17,9 @@ from docdepth.datasets.formats.cloud_folder import cloud_files
 from docdepth.datasets.times import time_of_name, times_of_files
 from docdepth.errors import DatasetError, DocDepthError
 from docdepth.geometry.se3 import poses_from, rotation_exp
-from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.pcd import PcdError, read_pcd
+from docdepth.io.pcd import read_pcd
 from docdepth.io.ply import write_vertices
-from docdepth.io.poses import write_kitti, write_tum
+from docdepth.io.poses import write_kitti
 
 T_OTHER = poses_from([rotation_exp([0.1, -0.05, 0.5])], [[0.3, 1.2, -0.4]])[0]
 
@@ -67,42 +66,6 @@ def test_padding_of_no_values_means_natural_alignment(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found[name], rows[name])
 
 
-def test_fields_of_several_values_and_padding_of_some(tmp_path: Path) -> None:
-    rows = np.zeros(
-        3, [("x", "<f4"), ("_", "u1", 3), ("normal", "<f4", 3), ("y", "<f4"), ("z", "<f4")]
-    )
-    rows["normal"], rows["z"] = np.arange(9).reshape(3, 3), [4, 5, 6]
-    header = HEADER.format(
-        fields="x _ normal y z", size="4 1 4 4 4", type="F U F F F", count="1 3 3 1 1"
-    )
-    (tmp_path / "a.pcd").write_bytes(header.encode() + rows.tobytes())
-    found, _ = read_pcd(tmp_path / "a.pcd")
-    np.testing.assert_array_equal(found["normal"], rows["normal"])
-    np.testing.assert_array_equal(found["z"], rows["z"])
-
-
-@pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
-def test_damaged_pcd_files_are_refused(tmp_path: Path, encoding: str) -> None:
-    """Cut anywhere, or with a byte changed, a file is read or refused, and never more."""
-    file = tmp_path / "a.pcd"
-    write_pcd(file, folder_rows(0)[:40], encoding)
-    whole, rng = file.read_bytes(), np.random.default_rng(0)
-    refused = 0
-    for _ in range(300):
-        content = bytearray(whole)
-        if rng.random() < 0.5:
-            content = content[: rng.integers(len(content))]
-        else:
-            content[rng.integers(len(content))] = rng.integers(256)
-        file.write_bytes(content)
-        try:
-            rows, header = read_pcd(file)
-            assert len(rows) == header.count
-        except PcdError:
-            refused += 1
-    assert refused > 100
-
-
 def test_integers_of_an_ascii_file_keep_their_digits(tmp_path: Path) -> None:
     text = HEADER.format(fields="x y z t", size="4 4 4 8", type="F F F U", count="1 1 1 1")
     text = text.replace("binary", "ascii") + "1 2 nan 1700000000123456789\n" * 3
@@ -147,13 +110,6 @@ def test_fractions_of_equal_length_are_milli_or_microseconds(digits: int) -> Non
     parts = [(stamp // 10**9, stamp % 10**9 // 10 ** (9 - digits)) for stamp in stamps]
     files = [Path(f"cloud_{second}_{rest:0{digits}d}.pcd") for second, rest in parts]
     assert times_of_files(files, "names", Path(), "").tolist() == stamps
-
-
-def test_two_sweeps_of_one_number_have_no_times_by_the_rate(folder: Path) -> None:
-    (folder / "1.ply").write_bytes((folder / "000001.ply").read_bytes())
-    change(folder, times=None, rate=10, poses=None)
-    with pytest.raises(DatasetError, match=r"time of frame 2 \(1.ply\) is not after"):
-        open_dataset(folder)
 
 
 def test_times_of_names_rates_and_tables(folder: Path) -> None:
@@ -203,22 +159,6 @@ def test_times_of_points_of_other_names(folder: Path, name: str) -> None:
         rows = rfn.rename_fields(folder_rows(k), {"time": name})
         write_vertices(folder / f"{k:06d}.ply", rows, [])
     np.testing.assert_array_equal(open_dataset(folder).sweep(1).relative_time, expected)
-
-
-def test_poses_of_the_user(folder: Path) -> None:
-    write_tum(folder / "poses.tum", Trajectory(DRIVE.times, DRIVE.poses))
-    change(folder, poses="poses.tum")
-    np.testing.assert_allclose(open_dataset(folder).poses, DRIVE.poses, atol=1e-8)
-
-
-def test_poses_of_other_times_are_told(folder: Path, caplog) -> None:
-    """Poses count by their order; times that contradict it are named, unless of another clock."""
-    step = int(DRIVE.times[1] - DRIVE.times[0])
-    for late, told in ((0, False), (step // 2, False), (2 * step, True), (10**18, False)):
-        caplog.clear()
-        write_tum(folder / "poses.txt", Trajectory(DRIVE.times + late, DRIVE.poses))
-        open_dataset(folder)
-        assert ("poses are taken in the order of the sweeps" in caplog.text) == told, late
 
 
 def test_points_of_the_world_come_to_the_lidar(folder: Path) -> None:

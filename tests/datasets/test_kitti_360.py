@@ -15,7 +15,6 @@ from long_drives import (
     SEQUENCE,
     T_IMU_CAMERA0,
     date,
-    kitti_360_poses,
     rectified,
 )
 from made_up import DRIVE, K
@@ -23,7 +22,6 @@ from made_up import DRIVE, K
 from docdepth.datasets import open_dataset
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.se3 import inverse
-from docdepth.geometry.trajectory import Trajectory
 
 
 @pytest.fixture
@@ -44,41 +42,6 @@ def test_kitti_360_from_within_its_folder(kitti_360: Path, monkeypatch) -> None:
     assert there.name == "kitti_360"
     assert there.poses is not None
     assert len(there.cameras["image_00"].images) == DRIVE.images_count
-
-
-def test_times_of_kitti_360s_points_are_those_of_kittis(kitti_360: Path) -> None:
-    sweep = open_dataset(kitti_360).sweep(1)
-    assert sweep.relative_time is not None
-    assert not sweep.motion_compensated
-    ahead, left = np.array([[5.0, 0, 0]]), np.array([[0.0, 5, 0]])
-    for point, late in ((ahead, 0.0), (left, -0.25)):  # it turns clockwise, ahead at its stamp
-        with (kitti_360 / "data_3d_raw" / SEQUENCE / "velodyne_points/data/0000000001.bin").open(
-            "wb"
-        ) as file:
-            np.column_stack([point, [[0]]]).astype("<f4").tofile(file)
-        np.testing.assert_allclose(open_dataset(kitti_360).sweep(1).relative_time, [late])
-
-
-def test_a_frame_without_a_pose_is_interpolated(kitti_360: Path) -> None:
-    kitti_360_poses(kitti_360 / "data_poses" / SEQUENCE, [0, 1, 3, 4])
-    poses = open_dataset(kitti_360).poses
-    assert poses is not None
-    others = [0, 1, 3, 4]
-    np.testing.assert_allclose(poses[others], DRIVE.poses[others], atol=1e-9)
-    between = Trajectory(DRIVE.times[others], DRIVE.poses[others]).interpolate(DRIVE.times[2:3])
-    np.testing.assert_allclose(poses[2], between[0], atol=1e-9)
-    np.testing.assert_allclose(poses[2], DRIVE.poses[2], atol=2e-3)
-
-
-def test_frames_before_the_first_pose_have_none(kitti_360: Path, caplog) -> None:
-    kitti_360_poses(kitti_360 / "data_poses" / SEQUENCE, [1, 2, 4])
-    assert open_dataset(kitti_360).poses is None
-    assert "1 of 5 sweeps have no pose" in caplog.text
-    assert "`frames='1:5'` has poses" in caplog.text
-    assert open_dataset(kitti_360, frames="0:3").poses is None
-    part = open_dataset(kitti_360, frames="1:5").poses
-    assert part is not None
-    np.testing.assert_allclose(part[[0, 1, 3]], DRIVE.poses[[1, 2, 4]], atol=1e-9)
 
 
 def test_poses_of_the_camera_are_those_of_the_imu(kitti_360: Path) -> None:

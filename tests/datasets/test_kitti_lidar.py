@@ -4,19 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
-from formats import WRITERS
 
 from docdepth.config import parameters
 from docdepth.datasets import kitti_lidar, open_dataset
 from docdepth.datasets.up_axis import ground_of
-from docdepth.errors import DatasetError
 from docdepth.evaluation.runs import evaluate_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry, run_render
 from docdepth.synthetic import scene, sensor, sensors, write_drive
 from docdepth.synthetic.drive import Drive
-from small_drive import write_small_drive
 
 CITY = scene("city", 1)
 
@@ -120,44 +116,3 @@ def test_azimuth_tells_when_a_compensated_sweep_saw_each_point(short):
     assert np.median(off) < 0.005
     assert off.max() < 0.05
     assert np.corrcoef(sweep.relative_time, exact)[0, 1] > 0.99
-
-
-@pytest.mark.slow
-def test_times_of_points_are_kept_with_a_compensated_run_and_move_none(short, tmp_path):
-    dataset = open_dataset(short)
-    run = RunFolder.create(tmp_path / "run", None, parameters())
-    run_odometry(run, dataset, dataset.poses)
-    frame, sweep = run.frame(3), dataset.sweep(3)
-    np.testing.assert_array_equal(frame.points, sweep.points[frame.index])
-    np.testing.assert_allclose(frame.time_offset, 0.1 * sweep.relative_time[frame.index], atol=1e-6)
-
-
-@pytest.mark.slow
-def test_a_drive_may_say_where_its_lidar_looks_from(tmp_path):
-    folder = WRITERS["kitti_odometry"][1](tmp_path).path
-    assert open_dataset(folder).sweep(1).sensor_rig is None
-    file = folder / "docdepth.yaml"
-    about = yaml.safe_load(file.read_text())
-    file.write_text(yaml.safe_dump(about | {"sensor_origin": [0.1, 0, 0.2]}))
-    found = open_dataset(folder).sweep(1).sensor_rig
-    assert found is not None
-    np.testing.assert_array_equal(found.T_lidar_sensor[0, :3, 3], [0.1, 0, 0.2])
-    for wrong in ("here", [1, 2], [1, 2, "x"], [0, 0, 1e4]):
-        file.write_text(yaml.safe_dump(about | {"sensor_origin": wrong}))
-        with pytest.raises(DatasetError, match=r"docdepth\.yaml: sensor_origin"):
-            open_dataset(folder)
-
-
-@pytest.mark.slow
-def test_a_new_place_of_the_lidar_makes_odometry_run_again(tmp_path):
-    folder = write_small_drive(tmp_path / "drive")
-    dataset = open_dataset(folder)
-    run = RunFolder.create(tmp_path / "run", None, parameters())
-    run_odometry(run, dataset, dataset.poses)
-    assert run.frame(1).sensor_rig is None
-    (folder / "docdepth.yaml").write_text("sensor_origin: [0, 0, 0.5]\n")
-    moved = open_dataset(folder)
-    run_odometry(run, moved, moved.poses)
-    found = run.frame(1).sensor_rig
-    assert found is not None
-    np.testing.assert_array_equal(found.T_lidar_sensor[0, :3, 3], [0, 0, 0.5])

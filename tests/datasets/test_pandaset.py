@@ -12,7 +12,7 @@ from formats import WRITERS
 from made_up import DRIVE
 
 from docdepth.datasets import open_dataset
-from docdepth.datasets.formats.pandaset import T_camera_lidar, read_table
+from docdepth.datasets.formats.pandaset import T_camera_lidar
 from docdepth.errors import DatasetError
 from docdepth.geometry.se3 import inverse
 
@@ -50,16 +50,6 @@ def test_points_of_pandasets_front_lidar_are_left_out(pandaset: Path) -> None:
     assert sweep.relative_time is not None
     shares = DRIVE.rows(3)["share"][DRIVE.usable(3)]
     np.testing.assert_allclose(sweep.relative_time, shares, atol=1e-5)  # 0.2 µs in doubles
-
-
-def test_pandas_reads_the_table_that_the_test_writes(pandaset: Path) -> None:
-    pandas = pytest.importorskip("pandas")
-    table = pandas.read_pickle(pandaset / "lidar" / "03.pkl.gz")
-    assert list(table.columns) == ["x", "y", "z", "i", "t", "d"]
-    assert table.index.name == "index"
-    own = read_table(pandaset / "lidar" / "03.pkl.gz", "")
-    for name in table.columns:
-        np.testing.assert_array_equal(own[name], table[name])
 
 
 def test_a_pickle_that_would_run_a_program(pandaset: Path, tmp_path: Path) -> None:

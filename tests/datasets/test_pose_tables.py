@@ -35,11 +35,6 @@ def test_a_line_of_something_else_is_named(tmp_path: Path, line: str) -> None:
         read_pose_table(file, (2,), "copy it")
 
 
-def test_a_table_without_poses(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match=r"poses\.csv holds no poses"):
-        read_pose_table(write(tmp_path / "poses.csv", "t,x\n1,nan\n"), (1,), "copy it")
-
-
 def test_angles_turn_about_x_then_y_then_z() -> None:
     angles = np.array([[0.3, -0.2, 2.0]])
     (pose,) = poses_of_angles(np.array([[1.0, 2, 3]]), angles)

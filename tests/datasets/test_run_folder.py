@@ -28,14 +28,6 @@ def part(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run(drive, root / "run", poses=poses, frames="1:4").path
 
 
-def test_maps_of_a_run_of_a_run_are_named_as_those_of_the_run(part: Path, tmp_path: Path) -> None:
-    again = run(part, tmp_path / "again").path
-    given, found = ({f.name: f.read_bytes() for f in (p / "depth").glob("*.png")}
-                    for p in (part, again))  # fmt: skip
-    assert sorted(given) == [f"{name}.png" for name in NAMES]
-    assert found == given
-
-
 @pytest.mark.parametrize(
     "spoil",
     [
