@@ -104,7 +104,7 @@ def test_damaged_packets(raw):
 def test_meters_are_those_of_the_earth():
     """A degree of latitude is 111.2 km on KITTI's sphere; Mercator stretches it by 1 / cos."""
     degree = degrees(1 / 6378137)
-    from docdepth.datasets.formats.kitti_oxts import _mercator
+    from docdepth.datasets.formats.kitti_raw import _mercator
 
     east = degree / np.cos(np.radians(LATITUDE))
     places = np.array(

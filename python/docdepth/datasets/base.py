@@ -152,12 +152,7 @@ def _rigid(name: str, T: ArrayLike) -> NDArray[np.float64]:
 
 
 def check_name(name: str) -> None:
-    """Refuse a name of a camera that cannot be that of a folder, or leads out of it.
-
-    Raises
-    ------
-    CalibrationError
-    """
+    """Refuse a name of a camera that cannot be that of a folder, or leads out of it."""
     if not name or set(name) & set("/\\\0") or name in (".", "..", "all", "none"):
         raise CalibrationError(
             f"a camera cannot be called {name!r}: results lie in folders of this name; use letters "
@@ -166,12 +161,7 @@ def check_name(name: str) -> None:
 
 
 def check_distortion(name: str, d: NDArray[np.float64] | None, model: LensModel) -> None:
-    """Refuse the distortion of a camera ``name`` that no lens has.
-
-    Raises
-    ------
-    CalibrationError
-    """
+    """Refuse the distortion of a camera ``name`` that no lens has."""
     if model == "fisheye" and (d is None or d.shape != (4,)):
         raise CalibrationError(f"{name}: the distortion of a fisheye is k1 k2 k3 k4")
     if d is not None and (

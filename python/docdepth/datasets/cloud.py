@@ -89,13 +89,7 @@ def packed(**fields: str) -> np.dtype[Any]:
 
 
 def read_rows(file: Path, where: str, rows: np.dtype[Any], remedy: str) -> NDArray[Any]:
-    """Rows of fixed fields, which a file is full of.
-
-    Raises
-    ------
-    DatasetError
-        The file cannot be read, or holds no whole number of rows.
-    """
+    """Rows of fixed fields, which a file is full of."""
     content = read_bytes(file, remedy, where)
     if not content:
         raise DatasetError(f"{where} is empty; {remedy}")
@@ -125,11 +119,6 @@ def cloud_from_fields(rows: NDArray[Any], where: str) -> Cloud:
         Fields x, y, z; intensity, ring and time under any of their usual names.
     where : str
         File and frame, for messages.
-
-    Raises
-    ------
-    DatasetError
-        A coordinate is missing, or a field has several values a point.
     """
     names = {name.lower(): name for name in rows.dtype.names or ()}
     lacking = [axis for axis in "xyz" if axis not in names]

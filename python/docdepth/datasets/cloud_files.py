@@ -5,21 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.cloud import Cloud, cloud_from_fields, rows_of
+from docdepth.datasets.base import LidarStream
+from docdepth.datasets.cloud import Cloud, FileLidar, cloud_from_fields, read_rows, rows_of
 from docdepth.datasets.files import extra, unreadable
+from docdepth.datasets.kitti_files import in_order
 from docdepth.datasets.point_format import foreign_format
+from docdepth.datasets.times import times_of_names
 from docdepth.errors import DamagedFileError, DatasetError, InputError, RunError
 from docdepth.geometry.se3 import poses_from, quaternion_to_matrix
 from docdepth.io.npy import ArrayError, read_array
 from docdepth.io.pcd import PcdError, read_pcd, read_pcd_header
 from docdepth.io.ply import read_vertices
 
+NANOSECOND, MICROSECOND = 1, 1000
 KITTI_COLUMNS = ("x", "y", "z", "intensity")
 
 
@@ -49,13 +54,6 @@ def read_cloud(file: Path, where: str, rows: RowFormat) -> Cloud:
         File and frame, for messages.
     rows : RowFormat
         Of files that do not tell it themselves.
-
-    Raises
-    ------
-    DatasetError
-        The file cannot be read.
-    MissingExtraError
-        The library that reads it is missing.
     """
     try:
         with _of_pcd(file, where):
@@ -68,13 +66,7 @@ def read_cloud(file: Path, where: str, rows: RowFormat) -> Cloud:
 
 
 def read_viewpoint(file: Path, frame: int) -> NDArray[np.float64]:
-    """The pose (4, 4) in the header of a PCD file.
-
-    Raises
-    ------
-    DatasetError
-        The file cannot be read, or its viewpoint is no pose.
-    """
+    """The pose (4, 4) in the header of a PCD file."""
     where = f"{file} (frame {frame})"
     with _of_pcd(file, where):
         position, (w, x, y, z) = np.split(read_pcd_header(file).viewpoint, [3])
@@ -171,3 +163,29 @@ READERS: dict[str, Callable[[Path, str, RowFormat], Cloud]] = {
     ".laz": _read_las,
 }
 """A reader for each suffix in small letters."""
+
+
+def stamped_lidar(
+    name: str,
+    folder: Path,
+    unit: int,
+    rows: np.dtype[Any],
+    cloud: Callable[[NDArray[Any], str], Cloud] = cloud_from_fields,
+) -> FileLidar:
+    """The LiDAR of a folder of ``STAMP.bin``, whose stamps count ``unit`` nanoseconds."""
+    sweeps = in_order(folder.glob("*.bin"))
+    if not sweeps:
+        raise DatasetError(f"{folder} holds no sweeps (*.bin); unpack them there")
+    times = times_of_names(sweeps, unit, "names of sweeps are stamps; remove what is none")
+    stream = LidarStream(name, times, [sweep.stem for sweep in sweeps])
+    return FileLidar(stream, sweeps, partial(read_stamped, rows=rows, cloud=cloud))
+
+
+def read_stamped(
+    file: Path,
+    where: str,
+    rows: np.dtype[Any],
+    cloud: Callable[[NDArray[Any], str], Cloud],
+) -> Cloud:
+    """A cloud of the rows of a file."""
+    return cloud(read_rows(file, where, rows, "copy the sweep again"), where)

@@ -6,7 +6,7 @@ import os
 import threading
 import warnings
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -20,6 +20,7 @@ from docdepth.io.images import decode_image
 from docdepth.io.yaml_json import parse_json
 
 _Opened = TypeVar("_Opened")
+_MOST_NAMED = 8  # in an error
 FILE = "docdepth.yaml"
 """What the files of a recording do not tell."""
 
@@ -30,13 +31,7 @@ def settings_file(recording: Path) -> Path:
 
 
 def is_there(file: Path) -> bool:
-    """Whether an optional file exists.
-
-    Raises
-    ------
-    DatasetError
-        It is a folder, or a link that leads nowhere: the user means it to be there.
-    """
+    """Whether an optional file exists."""
     if file.is_file():
         return True
     if file.is_symlink() or file.exists():
@@ -61,13 +56,7 @@ def unreadable(
 
 
 def read_bytes(file: Path, remedy: str, where: str = "") -> bytes:
-    """The content of a file, which errors name by ``where`` if it is given.
-
-    Raises
-    ------
-    DatasetError
-        The file cannot be read.
-    """
+    """The content of a file, which errors name by ``where`` if it is given."""
     try:
         return file.read_bytes()
     except OSError as error:
@@ -75,13 +64,7 @@ def read_bytes(file: Path, remedy: str, where: str = "") -> bytes:
 
 
 def read_lines(file: Path, remedy: str) -> list[str]:
-    """The lines of a text file without blank ones at its end.
-
-    Raises
-    ------
-    DatasetError
-        The file cannot be read, or is not a text file.
-    """
+    """The lines of a text file without blank ones at its end."""
     try:
         return read_bytes(file, remedy).decode("utf-8-sig").rstrip().splitlines()
     except UnicodeDecodeError:
@@ -89,13 +72,7 @@ def read_lines(file: Path, remedy: str) -> list[str]:
 
 
 def read_numbers(file: Path, remedy: str) -> list[float]:
-    """All numbers of a text file of a calibration.
-
-    Raises
-    ------
-    CalibrationError
-        The file cannot be read, or holds something else.
-    """
+    """All numbers of a text file of a calibration."""
     try:
         return [float(word) for line in read_lines(file, remedy) for word in line.split()]
     except ValueError:
@@ -105,13 +82,7 @@ def read_numbers(file: Path, remedy: str) -> list[float]:
 
 
 def read_json(file: Path, remedy: str) -> Any:
-    """The content of a JSON file.
-
-    Raises
-    ------
-    DatasetError
-        The file cannot be read, or is not JSON.
-    """
+    """The content of a JSON file."""
     try:
         return parse_json(read_bytes(file, remedy))
     except ValueError as error:
@@ -119,17 +90,25 @@ def read_json(file: Path, remedy: str) -> Any:
 
 
 def read_image(file: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[np.uint8]:
-    """An image, from a path of any bytes.
-
-    Raises
-    ------
-    DatasetError
-        The file cannot be read, or is not an image that OpenCV reads.
-    """
+    """An image, from a path of any bytes."""
     image = decode_image(read_bytes(file, "copy the image again"), flags)
     if image is None:
         raise DatasetError(f"{file} is not a readable image; replace or remove it")
     return np.asarray(image)
+
+
+def one_of(root: Path, what: str, known: Sequence[str], wanted: str | None) -> str:
+    """The name that is wanted, or the only one that ``root`` has of ``what``."""
+    if wanted is None and len(known) == 1:
+        return known[0]
+    if wanted is None or wanted not in known:
+        some = ", ".join(str(root / one) for one in known[:_MOST_NAMED])
+        more = f" and {len(known) - _MOST_NAMED} more" if len(known) > _MOST_NAMED else ""
+        raise DatasetError(
+            f"{root} has {len(known)} {what}{'' if wanted is None else f', but no {wanted}'}; name "
+            f"one of {some}{more}"
+        )
+    return wanted
 
 
 def extra(module: str, what: str, name: str) -> Any:
@@ -142,11 +121,6 @@ def extra(module: str, what: str, name: str) -> Any:
         What needs it, as in "bags need rosbags".
     name : str
         Of the extra.
-
-    Raises
-    ------
-    MissingExtraError
-        It is not installed.
     """
     try:
         with warnings.catch_warnings():

@@ -56,13 +56,7 @@ ImageSource = Path | StoredImage
 
 
 def read_image_of(image: ImageSource) -> NDArray[np.uint8]:
-    """An image as BGR, wherever it is.
-
-    Raises
-    ------
-    DatasetError
-        It cannot be read.
-    """
+    """An image as BGR, wherever it is."""
     return image.read() if isinstance(image, StoredImage) else read_image(Path(image))
 
 

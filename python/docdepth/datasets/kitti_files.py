@@ -31,11 +31,6 @@ def find_sweeps(folder: Path) -> tuple[list[Path], list[DatasetError]]:
 
     The sizes of all are looked at, and the numbers of the first: an error now is better than one an
     hour into the run. Many broken sweeps are one problem.
-
-    Raises
-    ------
-    DatasetError
-        There are none, none is whole, or they are of another format.
     """
     files = in_order(folder.glob("*.bin"))
     if not files:
@@ -125,11 +120,6 @@ def match_rows(files: Sequence[Path], count: int, table: Path, what: str) -> NDA
 
     A table with as many rows as there are files is in their order. Otherwise files are missing, as
     in some of KITTI's drives, and the number in a file's name is its row.
-
-    Raises
-    ------
-    DatasetError
-        A file has no row.
     """
     if count == len(files):
         return np.arange(count)
@@ -162,13 +152,7 @@ def check_increasing(times: NDArray[np.int64], files: Sequence[str], table: Path
 
 
 class Calibration:
-    """A KITTI calibration file with lines ``NAME: numbers``.
-
-    Raises
-    ------
-    CalibrationError
-        The file is missing or not a text file.
-    """
+    """A KITTI calibration file with lines ``NAME: numbers``."""
 
     def __init__(self, file: Path, remedy: str) -> None:
         self.file = file
@@ -186,13 +170,7 @@ class Calibration:
         return name in self._values
 
     def matrix(self, name: str, *shape: int) -> NDArray[np.float64]:
-        """The numbers of one line as an array of the given shape.
-
-        Raises
-        ------
-        CalibrationError
-            The line is missing, or does not have that many finite numbers.
-        """
+        """The numbers of one line as an array of the given shape."""
         if name not in self._values:
             raise CalibrationError(f"{self.file} has no line '{name}:'; restore the file")
         try:
@@ -207,24 +185,12 @@ class Calibration:
         return values.reshape(shape)
 
     def transform(self, name: str) -> NDArray[np.float64]:
-        """The rigid transform (4, 4) of a line with the upper 3x4 of its matrix.
-
-        Raises
-        ------
-        CalibrationError
-            The line is missing, holds no rotation, or a lever arm that no vehicle has.
-        """
+        """The rigid transform (4, 4) of a line with the upper 3x4 of its matrix."""
         matrix = self.matrix(name, 3, 4)
         return self._rigid(name, matrix[:, :3], matrix[:, 3])
 
     def transform_of(self, rotation: str, translation: str | None = None) -> NDArray[np.float64]:
-        """The rigid transform (4, 4) of a line with a rotation and one with a translation.
-
-        Raises
-        ------
-        CalibrationError
-            As for :meth:`transform`.
-        """
+        """The rigid transform (4, 4) of a line with a rotation and one with a translation."""
         offset = np.zeros(3) if translation is None else self.matrix(translation, 3)
         names = rotation if translation is None else f"{rotation}: and {translation}"
         return self._rigid(names, self.matrix(rotation, 3, 3), offset)

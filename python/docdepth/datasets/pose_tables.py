@@ -7,7 +7,7 @@ where the vehicle stood or where the satellites were lost.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from decimal import Decimal, InvalidOperation
 from math import isfinite
 from pathlib import Path
@@ -57,11 +57,6 @@ def read_pose_table(
     stamps : ndarray of int64, shape (n,)
         Increasing; of rows with the same stamp the first one stays.
     rows : ndarray of float64, shape (n, columns)
-
-    Raises
-    ------
-    DatasetError
-        The file cannot be read, or a line is of something else.
     """
     stamps: list[int] = []
     rows: list[list[float]] = []
@@ -116,11 +111,6 @@ def read_table_poses(
     -------
     ndarray of float64, shape (n, 4, 4), or None
         None if there is no such file.
-
-    Raises
-    ------
-    DatasetError
-        The file cannot be read, or is of another recording.
     """
     if not is_there(file):
         return None
@@ -161,13 +151,7 @@ def rows_around(
 
 
 def poses_of_matrices(rows: NDArray[np.float64], file: Path) -> NDArray[np.float64]:
-    """Poses (n, 4, 4) of rows with the upper 3x4, or all, of their matrices.
-
-    Raises
-    ------
-    DatasetError
-        A row is no pose.
-    """
+    """Poses (n, 4, 4) of rows with the upper 3x4, or all, of their matrices."""
     matrices = rows.reshape(len(rows), -1, 4)
     poses = poses_from(list(matrices[:, :3, :3]), matrices[:, :3, 3])
     return nearest_rigid(_checked(poses, file))  # printed with few digits
@@ -206,11 +190,6 @@ def poses_at(
     ndarray of float64, shape (m, 4, 4)
         NaN before the first pose, after the last one, and between poses that are more than a
         quarter of a second and a metre apart.
-
-    Raises
-    ------
-    DatasetError
-        No sweep lies between poses: they are of another recording.
     """
     trajectory = Trajectory(stamps, _checked(poses, file))
     after = np.searchsorted(stamps, times).clip(1, max(len(stamps) - 1, 1)) % len(stamps)
@@ -297,14 +276,11 @@ def _checked(poses: NDArray[np.float64], file: Path) -> NDArray[np.float64]:
 
 
 def pose_of(
-    quaternion: Sequence[float], translation: Sequence[float], where: str
+    quaternion: Iterable[float], translation: Iterable[float], where: str
 ) -> NDArray[np.float64]:
     """A pose (4, 4) of a quaternion w x y z and a translation in metres.
 
-    Raises
-    ------
-    DatasetError
-        They are no pose.
+    Generators are asked here, so that a number that is missing is named as well.
     """
     try:
         w, x, y, z = (float(value) for value in quaternion)
@@ -312,5 +288,5 @@ def pose_of(
         if not np.isfinite(position).all():
             raise ValueError(f"its translation is {position}")
         return poses_from([quaternion_to_matrix([x, y, z, w])], [position])[0]
-    except (InputError, ValueError, TypeError) as error:
+    except (InputError, ValueError, TypeError, LookupError) as error:
         raise DatasetError(f"{where} is no pose ({error}); restore the file") from None

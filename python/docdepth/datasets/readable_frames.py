@@ -23,13 +23,7 @@ def suggest_skipping() -> Iterator[None]:
 
 
 def first_readable(read: Callable[[_File], _Read], files: Sequence[_File]) -> _Read:
-    """What ``read`` gives for the first whole file.
-
-    Raises
-    ------
-    DocDepthError
-        None can be read.
-    """
+    """What ``read`` gives for the first whole file."""
     return next(iter(readable(lambda k: read(files[k]), [0], len(files)).values()))
 
 
@@ -54,11 +48,6 @@ def readable(
     -------
     dict
         By frame, in order.
-
-    Raises
-    ------
-    DocDepthError
-        That of a wanted frame, if none around it can be read.
     """
     found: dict[int, _Read] = {}
     for index in wanted:

@@ -18,7 +18,6 @@ from docdepth.datasets.formats import (
     cloud_folder,
     dgp,
     docdepth_run,
-    dynamic_map,
     helipr,
     kitti_360,
     kitti_odometry,
@@ -60,7 +59,7 @@ _OWN: tuple[Format, ...] = (
     hesai.FORMAT,
     velodyne.FORMAT,
     bag_recording.FORMAT,
-    dynamic_map.FORMAT,
+    cloud_folder.DYNAMIC_MAP,
     cloud_folder.FORMAT,
 )
 
@@ -156,13 +155,7 @@ def _foreign() -> list[EntryPoint]:
 
 
 def _load(point: EntryPoint) -> Format:
-    """The format of another package.
-
-    Raises
-    ------
-    DatasetError
-        It cannot be imported, or is no format of this name.
-    """
+    """The format of another package."""
     try:
         found = point.load()
     except Exception as error:

@@ -167,11 +167,6 @@ def resample(
         Of each LiDAR.
     path : Path
         The recording, for errors.
-
-    Raises
-    ------
-    DatasetError
-        Times of points are not known, or there is less than half of a sweep.
     """
     nanoseconds = round(duration * 1e9)
     starts = None

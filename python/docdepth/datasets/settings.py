@@ -92,13 +92,7 @@ class CameraSettings(Strict):
     T_camera_lidar: Numbers | None = None
 
     def camera(self, size: tuple[int, int] | None, where: str) -> Camera:
-        """The pinhole camera.
-
-        Raises
-        ------
-        CalibrationError
-            K or the size is missing, or K is none.
-        """
+        """The pinhole camera."""
         if self.K is None or len(self.K) not in (4, 9):
             raise CalibrationError(f"{where}: K must be 4 numbers fx fy cx cy, or 9; got {self.K}")
         if size is None:
@@ -114,13 +108,7 @@ class CameraSettings(Strict):
         return np.array(numbers) if self.model == "fisheye" or any(numbers) else None
 
     def extrinsic(self, where: str) -> NDArray[np.float64]:
-        """``T_camera_lidar``, (4, 4).
-
-        Raises
-        ------
-        CalibrationError
-            It is missing or no rigid transform.
-        """
+        """``T_camera_lidar``, (4, 4)."""
         return transform(self.T_camera_lidar, f"{where}: T_camera_lidar")
 
 
@@ -273,13 +261,6 @@ def camera_mask(camera: Camera, mask: Mask) -> NDArray[np.bool_]:
     mask : Path, or list of (x, y)
         An image of the camera's size that is black where nothing of the world is seen, as COLMAP
         and nerfstudio take it; or the corners of a polygon around such pixels.
-
-    Raises
-    ------
-    DatasetError
-        The file cannot be read.
-    CalibrationError
-        It has another size, or is black all over; the polygon has fewer than three corners.
     """
     if isinstance(mask, Path):
         seen = read_image(mask, cv2.IMREAD_GRAYSCALE) > 0
@@ -298,13 +279,7 @@ def camera_mask(camera: Camera, mask: Mask) -> NDArray[np.bool_]:
 
 
 def transform(numbers: list[float] | None, where: str) -> NDArray[np.float64]:
-    """A rigid transform (4, 4) of 12 or 16 numbers, row by row.
-
-    Raises
-    ------
-    CalibrationError
-        They are missing or no rigid transform in metres.
-    """
+    """A rigid transform (4, 4) of 12 or 16 numbers, row by row."""
     if numbers is None or len(numbers) not in (12, 16):
         raise CalibrationError(f"{where} must be 16 numbers, row by row; got {numbers}")
     T = np.eye(4)

@@ -34,11 +34,6 @@ def read_times(path: Path) -> NDArray[np.int64]:
     Returns
     -------
     ndarray of int64, shape (n,)
-
-    Raises
-    ------
-    DatasetError
-        The file is missing, or a line is not a time.
     """
     return _parse(read_lines(path, "write one time a line, in seconds"), path)
 
@@ -61,11 +56,6 @@ def read_times_of(files: Sequence[Path], table: Path, what: str, remedy: str) ->
     -------
     ndarray of int64, shape (len(files),)
         Nanoseconds, strictly increasing.
-
-    Raises
-    ------
-    DatasetError
-        The table is missing, a line is not a time, a file has no line, or times do not increase.
     """
     stamps = _parse(read_lines(table, remedy), table)
     times: NDArray[np.int64] = stamps[match_rows(files, len(stamps), table, what)]
@@ -114,11 +104,6 @@ def times_of_files(
     folder : Path
     remedy : str
         What to do where nothing tells the times.
-
-    Raises
-    ------
-    DatasetError
-        Nothing tells them, a file has no time, or they do not increase.
     """
     if table not in (None, "names"):
         return read_times_of(files, folder / str(table), "times", remedy)
@@ -140,13 +125,7 @@ def times_of_files(
 
 
 def times_of_names(files: Sequence[Path], unit: int, remedy: str) -> NDArray[np.int64]:
-    """Nanoseconds of files whose names are numbers of ``unit`` nanoseconds.
-
-    Raises
-    ------
-    DatasetError
-        A name is no number, or two are one.
-    """
+    """Nanoseconds of files whose names are numbers of ``unit`` nanoseconds."""
     for file in files:
         if not (file.stem.isascii() and file.stem.isdigit()):
             raise DatasetError(f"{file}: the name is no number; {remedy}")

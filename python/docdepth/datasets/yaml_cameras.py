@@ -81,11 +81,6 @@ def yaml_cameras(
         Its sweeps may give the times.
     asked : (int, int), optional
         Width and height of cameras of which no more is known.
-
-    Raises
-    ------
-    DatasetError, CalibrationError
-        Of all cameras together.
     """
     cameras: dict[str, CameraStream] = {}
     uncalibrated: dict[str, ImageStream] = {}

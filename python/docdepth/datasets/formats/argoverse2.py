@@ -73,15 +73,7 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
 
 
 def read_feather(file: Path, where: str) -> dict[str, NDArray[Any]]:
-    """Columns of a Feather file by name.
-
-    Raises
-    ------
-    DatasetError
-        The file is missing or damaged.
-    MissingExtraError
-        pyarrow is not installed.
-    """
+    """Columns of a Feather file by name."""
     feather = extra("pyarrow.feather", "Feather files need pyarrow", "argoverse")
     pyarrow = import_module("pyarrow")
     if not file.is_file():
@@ -111,11 +103,8 @@ def _places(file: Path) -> dict[str, NDArray[np.float64]]:
 
 
 def _pose(table: dict[str, NDArray[Any]], row: int, where: str) -> NDArray[np.float64]:
-    try:
-        quaternion = [table[name][row] for name in ("qw", "qx", "qy", "qz")]
-        return pose_of(quaternion, [table[name][row] for name in ("tx_m", "ty_m", "tz_m")], where)
-    except KeyError as error:
-        raise DatasetError(f"{where} has no column {error}; {_DOWNLOAD}") from None
+    quaternion = (table[name][row] for name in ("qw", "qx", "qy", "qz"))
+    return pose_of(quaternion, (table[name][row] for name in ("tx_m", "ty_m", "tz_m")), where)
 
 
 def _poses(file: Path, times: NDArray[np.int64], names: list[str]) -> NDArray[np.float64]:

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
 from docdepth.datasets.cloud import Cloud, cloud_from_fields, packed
+from docdepth.datasets.cloud_files import MICROSECOND, stamped_lidar
 from docdepth.datasets.files import is_there, read_numbers
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import image_files, image_size
 from docdepth.datasets.pose_tables import poses_of_angles, read_table_poses
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings, transform
-from docdepth.datasets.stamped_files import MICROSECOND, stamped_lidar
 from docdepth.datasets.times import times_of_names
 from docdepth.errors import CalibrationError
 from docdepth.geometry.camera import Camera

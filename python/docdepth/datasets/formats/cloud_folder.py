@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from docdepth.datasets.base import CameraStream, ImageStream, LidarStream
+from docdepth.datasets.base import CameraStream, ImageStream, LidarStream, Sweep
 from docdepth.datasets.cloud import FileLidar
 from docdepth.datasets.cloud_files import (
     KITTI_COLUMNS,
@@ -29,6 +30,8 @@ from docdepth.datasets.settings import Numbers, Strict, read_settings, transform
 from docdepth.datasets.times import times_of_files
 from docdepth.datasets.yaml_cameras import CameraRecordingSettings, yaml_cameras
 from docdepth.errors import Collector, DatasetError
+from docdepth.geometry.points import MOVING_LABEL, STATIC_LABEL
+from docdepth.io.pcd import PcdError, read_pcd_header
 
 log = logging.getLogger(__name__)
 
@@ -134,13 +137,7 @@ class CloudFolder(Recording):
 
 
 def cloud_files(folder: Path) -> list[Path]:
-    """The point clouds of a folder in the order of :func:`~.kitti_files.in_order`.
-
-    Raises
-    ------
-    DatasetError
-        There are none, or of several kinds.
-    """
+    """The point clouds of a folder in the order of :func:`~.kitti_files.in_order`."""
     files = [file for file in folder.glob("*") if file.suffix.lower() in READERS]
     kinds = sorted({file.suffix.lower() for file in files})
     if not folder.is_dir():
@@ -215,4 +212,61 @@ FORMAT = Format(
     _recognises,
     CloudFolder,
     found_below=False,
+)
+
+
+# Sweeps are SemanticKITTI's and the like: ten a second, motion compensated.
+_OF_DYNAMIC_MAP = {
+    "sweeps": "pcd",
+    "rate": 10,
+    "poses": VIEWPOINT,
+    "frame": "world",
+    "motion_compensated": True,
+}
+
+
+class DynamicMap(CloudFolder):
+    """A sequence ``SEQUENCE/pcd/000000.pcd`` of DynamicMap_Benchmark.
+
+    Points are in the world and are brought to the LiDAR frame by VIEWPOINT. Intensity is no
+    intensity but the true class, 1 for what moves: :meth:`labels` has it.
+
+    Parameters
+    ----------
+    path : Path
+        The sequence; a ``docdepth.yaml`` as of :class:`~.folder.FolderSettings` may add cameras.
+    """
+
+    def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
+        super().__init__(path, image_size, "dynamic_map", _OF_DYNAMIC_MAP)
+
+    def sweep(self, index: int) -> Sweep:
+        """Sweep ``index`` in the LiDAR frame, without intensity."""
+        return replace(super().sweep(index), intensity=None)
+
+    def labels(self, index: int) -> NDArray[np.uint32]:
+        """SemanticKITTI labels: 251 for what moves, 9 for the rest."""
+        classes = super().sweep(index).intensity
+        if classes is None:
+            raise DatasetError(
+                f"{self.sweep_files(index)[0]} (frame {index}) has no intensity, in which "
+                "DynamicMap_Benchmark keeps the classes"
+            )
+        return np.where(classes == 1, MOVING_LABEL, STATIC_LABEL).astype(np.uint32)
+
+
+def _is_dynamic_map(path: Path) -> bool:
+    """A folder pcd whose last file has a pose in its header."""
+    files = sorted((path / "pcd").glob("*.pcd"))
+    try:
+        return bool(files) and bool(read_pcd_header(files[-1]).viewpoint[:3].any())
+    except (OSError, PcdError):
+        return False
+
+
+DYNAMIC_MAP = Format(
+    "dynamic_map",
+    "a sequence of DynamicMap_Benchmark with pcd/*.pcd, whose VIEWPOINT is the sensor's pose",
+    _is_dynamic_map,
+    DynamicMap,
 )

@@ -185,11 +185,8 @@ def _camera(
 
 
 def _pose(entry: dict[str, Any], where: str) -> NDArray[np.float64]:
-    try:
-        q, t = entry["rotation"], entry["translation"]
-        return pose_of([q[f"q{a}"] for a in "wxyz"], [t[a] for a in "xyz"], where)
-    except (KeyError, TypeError) as error:
-        raise DatasetError(f"{where} is no pose ({error!r}); {_COPY}") from None
+    quaternion = (entry["rotation"][f"q{axis}"] for axis in "wxyz")
+    return pose_of(quaternion, (entry["translation"][axis] for axis in "xyz"), where)
 
 
 def _scene_file(path: Path) -> Path:

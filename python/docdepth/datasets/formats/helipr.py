@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from docdepth.datasets.cloud import packed
+from docdepth.datasets.cloud_files import NANOSECOND, stamped_lidar
 from docdepth.datasets.format import Format
 from docdepth.datasets.pose_tables import pose_of, read_table_poses
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import read_settings
-from docdepth.datasets.stamped_files import NANOSECOND, stamped_lidar
 from docdepth.datasets.yaml_cameras import CameraRecordingSettings, yaml_recording
 
 _AEVA = packed(x="f4", y="f4", z="f4", reflectivity="f4", velocity="f4", offset_ns="i4", line="u1")

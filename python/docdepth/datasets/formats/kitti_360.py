@@ -45,11 +45,6 @@ class Kitti360(KittiRaw):
         The sequence; ROOT has ``calibration`` and may have ``data_2d_raw`` and ``data_poses``.
     image_size : (int, int), optional
         Width and height in pixels, for a calibration without ``S_rect``.
-
-    Raises
-    ------
-    DatasetError, CalibrationError
-        A file is missing, truncated or contradicts another one.
     """
 
     name = "kitti_360"

@@ -46,11 +46,6 @@ def read_cameras(
         Takes LiDAR points to the rectified reference camera.
     image_size : (int, int), optional
         Width and height in pixels that the caller gives.
-
-    Raises
-    ------
-    DatasetError, CalibrationError
-        A file is broken or contradicts another one, or there is no camera.
     """
     folders = {n: sequence / f"image_{n}" for n in range(4) if f"P{n}" in calibration}
     if not folders:

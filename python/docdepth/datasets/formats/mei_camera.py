@@ -76,13 +76,7 @@ class MeiCamera:
 
 
 def read_rectified(camera: MeiCamera, file: Path) -> NDArray[np.uint8]:
-    """Read an image of a fisheye and rectify it.
-
-    Raises
-    ------
-    DatasetError
-        The file cannot be read, or is of another size than the calibration.
-    """
+    """Read an image of a fisheye and rectify it."""
     image = read_image(file)
     if image.shape[:2] != (camera.height, camera.width):
         raise DatasetError(
@@ -93,13 +87,7 @@ def read_rectified(camera: MeiCamera, file: Path) -> NDArray[np.uint8]:
 
 
 def read_mei(file: Path, remedy: str) -> MeiCamera:
-    """Read a calibration that camodocal wrote.
-
-    Raises
-    ------
-    CalibrationError
-        The file is missing, or lacks a number.
-    """
+    """Read a calibration that camodocal wrote."""
     try:
         text = "\n".join(read_lines(file, remedy)) + "\n"
         root = cv2.FileStorage()

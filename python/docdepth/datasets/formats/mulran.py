@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.cloud import Cloud, FileLidar, packed
+from docdepth.datasets.cloud_files import NANOSECOND, stamped_lidar
 from docdepth.datasets.format import Format
 from docdepth.datasets.pose_tables import poses_of_angles, poses_of_matrices, read_table_poses
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import read_settings
-from docdepth.datasets.stamped_files import NANOSECOND, stamped_lidar
 from docdepth.datasets.yaml_cameras import CameraRecordingSettings, yaml_recording
 from docdepth.geometry.se3 import inverse
 

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.cloud import Cloud, packed
+from docdepth.datasets.cloud_files import MICROSECOND, stamped_lidar
 from docdepth.datasets.files import is_there
 from docdepth.datasets.format import Format
 from docdepth.datasets.pose_tables import poses_of_angles, read_table_poses
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import read_settings
-from docdepth.datasets.stamped_files import MICROSECOND, stamped_lidar
 from docdepth.datasets.yaml_cameras import CameraRecordingSettings, yaml_recording
 from docdepth.geometry.se3 import inverse
 

@@ -17,20 +17,19 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
 from docdepth.datasets.cloud import Cloud, FileLidar, packed
-from docdepth.datasets.files import read_json
+from docdepth.datasets.cloud_files import MICROSECOND, read_stamped
+from docdepth.datasets.files import one_of, read_json
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing
 from docdepth.datasets.pose_tables import pose_of
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
-from docdepth.datasets.stamped_files import MICROSECOND, read_stamped
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import camera_of
 from docdepth.geometry.se3 import inverse
 
 _UNPACK = "unpack the metadata of nuScenes again"
 _ROWS = packed(x="f4", y="f4", z="f4", intensity="f4", ring="f4")
-_MOST_NAMED = 8  # scenes in an error
 # nuScenes' LiDAR has x to the right and y ahead, docdepth x ahead and y to the left.
 _T_LIDAR_THEIRS = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
 
@@ -114,16 +113,7 @@ def _find_scene(root: Path, name: str | None) -> tuple[Tables, str]:
     """The tables that hold a scene, and its token."""
     versions = [Tables(folder) for folder in _versions(root)]
     scenes = {scene: tables for tables in reversed(versions) for scene in tables.scenes}
-    if name is None and len(scenes) == 1:
-        (name,) = scenes
-    if name not in scenes:
-        some = sorted(scenes)[:_MOST_NAMED]
-        more = f" and {len(scenes) - len(some)} more" if len(scenes) > len(some) else ""
-        raise DatasetError(
-            f"{root} has {len(scenes)} scenes of nuScenes"
-            f"{'' if name is None else f', but no {name}'}; name one of "
-            f"{', '.join(str(root / scene) for scene in some)}{more}"
-        )
+    name = one_of(root, "scenes of nuScenes", sorted(scenes), name)
     return scenes[name], scenes[name].scenes[name]
 
 

@@ -6,7 +6,6 @@ import gzip
 import io
 import pickle
 import zlib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -118,15 +117,7 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
 
 
 def read_table(file: Path, where: str) -> dict[str, NDArray[Any]]:
-    """Columns of a zipped pickle of a table of pandas, without running what else may be in it.
-
-    Raises
-    ------
-    DatasetError
-        The file is missing, damaged, or holds something else.
-    MissingExtraError
-        pandas is not installed.
-    """
+    """Columns of a zipped pickle of a table of pandas, without running what else may be in it."""
     pandas = extra("pandas", "sweeps of PandaSet need pandas", "pandaset")
     from pandas.compat.pickle_compat import Unpickler
 
@@ -168,12 +159,8 @@ def _times(file: Path, count: int, what: str) -> NDArray[np.int64]:
 
 
 def _pose(entry: Any, where: str) -> NDArray[np.float64]:
-    try:
-        heading, position = entry["heading"], entry["position"]
-        quaternion: Sequence[float] = [heading[axis] for axis in "wxyz"]
-        return pose_of(quaternion, [position[axis] for axis in "xyz"], where)
-    except (KeyError, TypeError) as error:
-        raise DatasetError(f"{where} is no pose ({error!r}); {_COPY}") from None
+    heading = (entry["heading"][axis] for axis in "wxyz")
+    return pose_of(heading, (entry["position"][axis] for axis in "xyz"), where)
 
 
 def _camera(folder: Path) -> CameraStream:

@@ -28,13 +28,6 @@ class ParquetRows:
     file : Path
     rows : dict
         By key the number of the group of rows, and of the row in it.
-
-    Raises
-    ------
-    DatasetError
-        The file is missing, damaged or lacks a column.
-    MissingExtraError
-        pyarrow is not installed.
     """
 
     def __init__(self, file: Path, keys: tuple[str, ...], remedy: str) -> None:
@@ -56,11 +49,6 @@ class ParquetRows:
         """Values of the columns in a row, as scalars of pyarrow.
 
         Groups of rows are read whole: the last one is kept, as rows are asked for in turn.
-
-        Raises
-        ------
-        DatasetError
-            There is no such row or column, or the file is damaged.
         """
         if key not in self.rows:
             raise DatasetError(f"{where}: the file has no such row; {self._remedy}")

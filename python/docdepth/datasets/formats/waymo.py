@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import LidarStream
 from docdepth.datasets.cloud import Cloud
+from docdepth.datasets.files import one_of
 from docdepth.datasets.format import Format
 from docdepth.datasets.formats.parquet_rows import ParquetRows
 from docdepth.datasets.formats.waymo_cameras import (
@@ -36,7 +37,6 @@ LIDARS = {1: "TOP", 2: "FRONT", 3: "SIDE_LEFT", 4: "SIDE_RIGHT", 5: "REAR"}
 _TOP = 1
 
 _LASER = "key.laser_name"
-_MOST_NAMED = 8  # segments in an error
 _SAME_POSE = 1e-3  # metres, and entries of rotations
 _MOVES = 0.2  # metres within a sweep; less does not tell which column came first
 
@@ -145,7 +145,9 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
     stamped when its pose holds, in the middle of the revolution.
     """
     root = path if path.is_dir() else path.parent
-    segment = _segment(root, None if path == root else path.name)
+    known = sorted(file.stem for file in (root / "lidar").glob("*.parquet"))
+    wanted = None if path == root else path.name.removesuffix(".parquet")
+    segment = one_of(root, "segments of Waymo", known, wanted)
 
     def file(component: str) -> Path:
         return root / component / f"{segment}.parquet"
@@ -167,22 +169,6 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
         file("camera_calibration"), file("camera_image"), T_vehicle_lidar, lidars[0].stream
     )
     return Recording("waymo", root, lidars, cameras, T_world_vehicle @ T_vehicle_lidar, settings)
-
-
-def _segment(root: Path, name: str | None) -> str:
-    """The segment asked for, or the only one."""
-    known = sorted(file.stem for file in (root / "lidar").glob("*.parquet"))
-    wanted = None if name is None else name.removesuffix(".parquet")
-    if wanted is None and len(known) == 1:
-        return known[0]
-    if wanted not in known:
-        some = ", ".join(str(root / one) for one in known[:_MOST_NAMED])
-        more = f" and {len(known) - _MOST_NAMED} more" if len(known) > _MOST_NAMED else ""
-        raise DatasetError(
-            f"{root} has {len(known)} segments of Waymo"
-            f"{'' if wanted is None else f', but no {wanted}'}; name one of {some}{more}"
-        )
-    return wanted
 
 
 def _poses(file: Path, frames: list[int]) -> NDArray[np.float64]:

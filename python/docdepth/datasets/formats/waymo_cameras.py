@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,13 +32,7 @@ _EDGE = 0.5  # Waymo's pixel 0 begins at 0; ours has its centre there
 
 
 def pose_of_row(numbers: Any, where: str) -> NDArray[np.float64]:
-    """A transform (4, 4) of 16 numbers, row by row.
-
-    Raises
-    ------
-    DatasetError
-        They are none.
-    """
+    """A transform (4, 4) of 16 numbers, row by row."""
     values = np.array(numbers.as_py() if hasattr(numbers, "as_py") else numbers, np.float64)
     if values.shape != (16,) or not np.isfinite(values).all():
         raise DatasetError(f"{where} has no transform of 16 numbers; {REMEDY}")
@@ -54,21 +48,12 @@ def nanoseconds(seconds: Any) -> int:
     return int(np.rint(float(seconds) * 1e6)) * 1000
 
 
-@dataclass(frozen=True)
-class _ReadImage:
-    """Reads one image when it is called."""
-
-    rows: ParquetRows
-    key: tuple[int, int]
-    where: str
-
-    def __call__(self) -> NDArray[np.uint8]:
-        (content,) = self.rows.read(self.key, (_IMAGE,), self.where)
-        data = np.frombuffer(content.as_py() or b"", np.uint8)
-        image = decode_image(data, cv2.IMREAD_COLOR)
-        if image is None:
-            raise DatasetError(f"{self.where} is no image; {REMEDY}")
-        return np.asarray(image, np.uint8)
+def _read_image(rows: ParquetRows, key: tuple[int, int], where: str) -> NDArray[np.uint8]:
+    (content,) = rows.read(key, (_IMAGE,), where)
+    image = decode_image(np.frombuffer(content.as_py() or b"", np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise DatasetError(f"{where} is no image; {REMEDY}")
+    return np.asarray(image, np.uint8)
 
 
 def read_cameras(
@@ -87,23 +72,18 @@ def read_cameras(
         Of ``camera_image``; may be missing.
     T_vehicle_lidar : ndarray of float64, shape (4, 4)
     lidar : LidarStream
-
-    Raises
-    ------
-    DatasetError, CalibrationError
-        A file is damaged.
     """
     if not calibration.is_file():
         return {}
     rows = ParquetRows(calibration, (CAMERA,), REMEDY)
-    taken = _Images(images) if images.is_file() else None
+    taken = ParquetRows(images, (FRAME, CAMERA), REMEDY) if images.is_file() else None
     cameras = {}
     for (number,) in sorted(rows.rows):
         if number not in CAMERAS:
             continue
         name, where = CAMERAS[number], f"{calibration}, {CAMERAS[number]}"
         camera, distortion, T_vehicle_camera = _calibration(rows, number, where)
-        stream = taken.of(number) if taken is not None else ([], [], [])
+        stream = _images_of(taken, number) if taken is not None else ([], [], [])
         times, names, files = stream if len(stream[0]) else (lidar.times, lidar.names, [])
         cameras[name] = CameraStream(
             name,
@@ -117,26 +97,20 @@ def read_cameras(
     return cameras
 
 
-class _Images:
-    """The images of all cameras: when they were taken, and where they are."""
-
-    def __init__(self, file: Path) -> None:
-        self._rows = ParquetRows(file, (FRAME, CAMERA), REMEDY)
-
-    def of(self, number: int) -> tuple[list[int], list[str], list[StoredImage]]:
-        """Times, names and images of a camera."""
-        times, names, images = [], [], []
-        columns = (f"{_SHUTTER}.camera_trigger_time", f"{_SHUTTER}.camera_readout_done_time")
-        for key in sorted(key for key in self._rows.rows if key[1] == number):
-            where = f"{self._rows.file}, {CAMERAS[number]} of {key[0]}"
-            begin, end = (one.as_py() for one in self._rows.read(key, columns, where))
-            if begin is None or end is None:
-                raise DatasetError(f"{where} has no times of its shutter; {REMEDY}")
-            times.append(nanoseconds(begin + 0.5 * (end - begin)))
-            names.append(str(key[0]))
-            read = _ReadImage(self._rows, (key[0], key[1]), where)
-            images.append(StoredImage(self._rows.file, f"{CAMERAS[number]}_{key[0]}.jpg", read))
-        return times, names, images
+def _images_of(rows: ParquetRows, number: int) -> tuple[list[int], list[str], list[StoredImage]]:
+    """Times, names and images of a camera."""
+    times, names, images = [], [], []
+    columns = (f"{_SHUTTER}.camera_trigger_time", f"{_SHUTTER}.camera_readout_done_time")
+    for frame in sorted(frame for frame, camera in rows.rows if camera == number):
+        where = f"{rows.file}, {CAMERAS[number]} of {frame}"
+        begin, end = (one.as_py() for one in rows.read((frame, number), columns, where))
+        if begin is None or end is None:
+            raise DatasetError(f"{where} has no times of its shutter; {REMEDY}")
+        times.append(nanoseconds(begin + 0.5 * (end - begin)))
+        names.append(str(frame))
+        read = partial(_read_image, rows, (frame, number), where)
+        images.append(StoredImage(rows.file, f"{CAMERAS[number]}_{frame}.jpg", read))
+    return times, names, images
 
 
 def _calibration(

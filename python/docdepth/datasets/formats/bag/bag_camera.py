@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,18 +33,9 @@ _SUFFIXES = ("compressed", "image_raw", "image_color", "image_mono", "image", "i
 """Last parts of topics of images that do not tell cameras apart."""
 
 
-@dataclass(frozen=True)
-class _ReadImage:
-    """Reads one image of a bag when it is called."""
-
-    bag: BagFile
-    topic: str
-    message: Message
-    index: int
-
-    def __call__(self) -> NDArray[np.uint8]:
-        where = f"{self.bag.path}, {self.topic} (image {self.index})"
-        return decode_image(self.bag.read(self.topic, self.message, where), where)
+def _read_image(bag: BagFile, topic: str, message: Message, index: int) -> NDArray[np.uint8]:
+    where = f"{bag.path}, {topic} (image {index})"
+    return decode_image(bag.read(topic, message, where), where)
 
 
 def camera_name(topic: str, topics: Sequence[str]) -> str:
@@ -99,7 +90,7 @@ def open_camera(
         return None
     names = [str(time) for time in times.tolist()]
     images = [
-        StoredImage(bag.files[0], f"{topic} {stamp}", _ReadImage(bag, topic, message, k))
+        StoredImage(bag.files[0], f"{topic} {stamp}", partial(_read_image, bag, topic, message, k))
         for k, (message, stamp) in enumerate(zip(messages, names, strict=True))
     ]
     known = ImageStream(name, times, names, images)

@@ -80,13 +80,6 @@ class BagFile:
         What the bag consists of.
     topics : dict of str
         Type of the messages of each topic.
-
-    Raises
-    ------
-    DatasetError
-        It is no whole bag.
-    MissingExtraError
-        rosbags is not installed.
     """
 
     def __init__(self, path: Path) -> None:

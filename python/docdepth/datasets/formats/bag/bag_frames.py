@@ -137,11 +137,6 @@ def read_transforms(
         Times of recording count, not those of headers.
     frames : StaticFrames
     start : str
-
-    Raises
-    ------
-    DatasetError
-        No frame above ``start`` moves, a frame has two parents, or a transform is none.
     """
     edges = _read_edges(bag, topic, by_record)
     links: list[Trajectory | NDArray[np.float64]] = []

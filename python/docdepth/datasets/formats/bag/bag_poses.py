@@ -43,14 +43,6 @@ def poses_of_topic(
         Frame of the points.
     times : ndarray of int64, shape (n,)
         Nanoseconds of the sweeps.
-
-    Raises
-    ------
-    DatasetError
-        There is no such topic, a message is no pose, no sweep lies within them, or they are too
-        far apart around a sweep.
-    CalibrationError
-        Nothing tells where the LiDAR sits on what the topic is of.
     """
     file, settings = bag.file, bag.settings
     kinds = {t: k for t, k in file.topics.items() if k in _KINDS and not t.endswith("tf_static")}

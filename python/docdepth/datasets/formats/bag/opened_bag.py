@@ -81,13 +81,7 @@ class OpenedBag:
         return self.file.path
 
     def in_order(self, topic: str) -> tuple[list[Message], NDArray[np.int64]]:
-        """Messages by their stamps, and nanoseconds of each, strictly increasing.
-
-        Raises
-        ------
-        DatasetError
-            Headers have no stamps, or two messages have one stamp.
-        """
+        """Messages by their stamps, and nanoseconds of each, strictly increasing."""
         messages, file = self.index[topic], self.settings.file
         if self.settings.stamps == "record":
             return list(messages), self._distinct([m.recorded for m in messages], topic)

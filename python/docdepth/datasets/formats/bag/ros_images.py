@@ -67,13 +67,7 @@ def _of_eight_bits(encoding: str) -> str:
 
 
 def decode_image(message: Any, where: str) -> NDArray[np.uint8]:
-    """The image of a message as BGR.
-
-    Raises
-    ------
-    DatasetError
-        It is truncated, or of an encoding that docdepth does not know.
-    """
+    """The image of a message as BGR."""
     if message.__msgtype__ == IMAGES[1]:
         data = np.asarray(message.data, np.uint8)
         image = decode_content(data, cv2.IMREAD_COLOR)
@@ -133,11 +127,6 @@ def camera_of(
     size : (int, int), optional
         Width and height of the images, if they are known.
     where : str
-
-    Raises
-    ------
-    CalibrationError
-        The camera is not calibrated, its model is unknown, or images are of another size.
     """
     K = np.asarray(info.K if hasattr(info, "K") else info.k, np.float64).reshape(3, 3)
     P = np.asarray(info.P if hasattr(info, "P") else info.p, np.float64).reshape(3, 4)

@@ -96,11 +96,6 @@ def decode_packets(
         File and frame, for messages.
     angles : ndarray of float64, shape (32, 2)
         Elevation and azimuth of each laser, degrees.
-
-    Raises
-    ------
-    DatasetError
-        They are damaged, or of another LiDAR.
     """
     rows = _rows(packets, where)
     returns = int(rows["returns"][0])
@@ -163,11 +158,6 @@ def read_angles(file: Path) -> NDArray[np.float64]:
     ----------
     file : Path
         CSV with the columns Channel, Elevation and Azimuth, and a line for each laser.
-
-    Raises
-    ------
-    DatasetError
-        It is missing or no such file.
     """
     lines = read_lines(file, "name the angle correction file (CSV) of the LiDAR")
     try:

@@ -56,13 +56,6 @@ class PacketCapture:
     """The sweeps of a capture, each a revolution that begins behind.
 
     Stamps are when the first packet of a sweep arrived.
-
-    Raises
-    ------
-    DatasetError
-        It holds no such packets, or those of several LiDARs.
-    MissingExtraError
-        dpkt is not installed.
     """
 
     def __init__(self, path: Path, kind: Packets, decode: Decode) -> None:

@@ -40,13 +40,6 @@ def decode_packets(
         File and frame, for messages.
     capture : Path, optional
         Where the calibration of an HDL-64E may be found.
-
-    Raises
-    ------
-    DatasetError
-        They cannot be decoded.
-    MissingExtraError
-        velodyne-decoder is not installed.
     """
     decoder = velodyne_decoder()
     if any(len(packet) != _KIND.size for packet in packets):
