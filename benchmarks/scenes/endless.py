@@ -65,7 +65,7 @@ class EndlessDrive(Drive):
     ) -> None:
         self.street = EndlessStreet(seed, tiles, turn_deg)
         nothing = merged([self.street.road.ground(1.0, (0.0, 1.0))])
-        street = Scene("endless", seed, nothing, [], ego_path(self.street.road), np.inf)
+        street = Scene("endless", nothing, [], ego_path(self.street.road), np.inf)
         super().__init__(street, sensor, frames, seed, skew, shutter)
         self._world = lru_cache(maxsize=_WORLDS)(self._make_world)
         self._static = lru_cache(maxsize=_KEPT_PIECES)(self.street.static)

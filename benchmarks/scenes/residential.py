@@ -64,7 +64,7 @@ def residential(seed: int) -> Scene:
     street.send("pedestrian", [(52.0, -5.5), (52.0, 5.5)], Pace(0.9, departure=0.5))
     street.send("pedestrian", [(41.5, 4.9), (43.0, 2.0), (50.0, 1.9)], Pace(1.0))
     ego = Path(road, [(0.0, -1.6), (60.0, -1.6)], Pace(6.0, wave=0.1))
-    return street.scene("residential", seed, ego, 28.0)
+    return street.scene("residential", ego, 28.0)
 
 
 def _gardens(street: Street, spots: Floats, side: float, walk: float) -> None:

@@ -68,7 +68,7 @@ def highway(seed: int) -> Scene:
     _highway_traffic(street)
     street.park(road_users.car(rng), 120.0, -13.6)
     ego = Path(road, np.array([(0.0, -6.9), (100.0, -6.9)]), Pace(27.0, wave=0.02))
-    return street.scene("highway", seed, ego, 15.0, step=1.5)
+    return street.scene("highway", ego, 15.0, step=1.5)
 
 
 def highway_roadside(street: Street, start: float, end: float) -> None:
@@ -227,7 +227,7 @@ def hills(seed: int) -> Scene:
         name="leaves a lay-by",
     )
     ego = Path(road, np.array([(0.0, -1.7), (100.0, -1.7)]), Pace(12.0, wave=0.05))
-    return street.scene("hills", seed, ego, 20.0)
+    return street.scene("hills", ego, 20.0)
 
 
 def _country_roadside(street: Street, start: float, end: float) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from docdepth.synthetic.houses import walls
 from docdepth.synthetic.mesh import Mesh, Paint, ball, box, leaves, loft, merged, quads, scattered
+from docdepth.synthetic.roadside import walls
 
 Rng = np.random.Generator
 _TILES = Paint(50, (0.45, 0.22, 0.17), 0.3)

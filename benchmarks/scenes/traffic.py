@@ -46,7 +46,7 @@ def arrivals(seed: int) -> Scene:
     # It passes the ego on its left.
     street.send("cyclist", [(-30.0, 0.2), (30.0, 0.2)], Pace(6.0))
     ego = Path(road, np.array([(0.0, -_LANE), (100.0, -_LANE)]), Pace(4.0, wave=0.15))
-    return street.scene("arrivals", seed, ego, 22.0)
+    return street.scene("arrivals", ego, 22.0)
 
 
 def _arrivals_along_the_kerb(
@@ -174,7 +174,7 @@ def overtaking(seed: int) -> Scene:
     ):
         street.send(kind, [(s, d), (s - 100.0, d)], Pace(speed + float(rng.uniform(-1, 1))))
     ego = Path(road, np.array([(0.0, mine), (100.0, mine)]), Pace(22.0, wave=0.02))
-    return street.scene("overtaking", seed, ego, 15.0, step=1.5)
+    return street.scene("overtaking", ego, 15.0, step=1.5)
 
 
 def _tow(
@@ -207,7 +207,7 @@ def queue(seed: int) -> Scene:
     _bus_and_turn(street)
     _people_between(street, pace)
     ego = Path(road, np.array([(0.0, -_LANE), (60.0, -_LANE)]), pace)
-    return street.scene("queue", seed, ego, 22.0)
+    return street.scene("queue", ego, 22.0)
 
 
 def _stop_and_go(rng: np.random.Generator) -> Speeds:

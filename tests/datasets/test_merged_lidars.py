@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("trimesh")
+pytest.importorskip("embreex")
 import lidar_rig as rigs
 
 from docdepth.datasets import Sweep

@@ -29,4 +29,4 @@ def plain_scene(
     """Meshes and actors on a plane, where the ego moves along x from the origin [m/s]."""
     road = level_road(max(350.0, 150.0 + speed * 30.0))
     ego = Path(road, [(0.0, 0.0), (1.0, 0.0)], Pace(speed))
-    return Scene("plain", 0, merged([road.ground(25.0), *static]), list(actors), ego, 30.0)
+    return Scene("plain", merged([road.ground(25.0), *static]), list(actors), ego, 30.0)

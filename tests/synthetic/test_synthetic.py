@@ -195,7 +195,6 @@ def test_image_between_sweeps_shows_moving_objects_at_its_own_time():
     points = points @ T_scene_camera[:3, :3].T + T_scene_camera[:3, 3]
     local = points - (10 + 8.0 * drive.camera_times[2] * 1e-9, 5, 1.05)
     assert np.abs(np.abs(local) - (2.0, 1.0, 0.75)).min(axis=1).max() < 2e-3
-    np.testing.assert_allclose(view.speed[mine], 8.0, atol=1e-3)
 
 
 @pytest.mark.parametrize("name", list(synthetic.SCENES))

@@ -32,15 +32,12 @@ class View:
         Depth along the optical axis [m]; NaN = no surface.
     labels : ndarray of uint32, shape (h, w)
         As for the points of a sweep; 0 for the sky.
-    speed : ndarray of float32, shape (h, w)
-        Speed of the object at that moment [m/s].
     colour : ndarray of uint8, shape (h, w, 3)
         Red, green, blue.
     """
 
     depth: NDArray[np.float32]
     labels: NDArray[np.uint32]
-    speed: NDArray[np.float32]
     colour: NDArray[np.uint8]
 
 
@@ -59,7 +56,6 @@ def photograph(world: World, camera: Camera, T_scene_camera: Floats, second: flo
     return View(
         depth.reshape(shape).astype(np.float32),
         hits.labels.reshape(shape),
-        hits.speed.reshape(shape),
         colour.reshape(*shape, 3),
     )
 

@@ -87,14 +87,18 @@ class Road:
     def ground(self, step: float = 1.0, span: tuple[float, float] | None = None) -> Mesh:
         """The ground as a mesh, or a part of it; its cells follow kerbs and markings."""
         start, end = span or (self.start, self.end)
-        s = _breaks(start, end, step, self.cuts_between(start, end))
+        s, cuts = np.arange(start, end + step, step), np.array(self.cuts_between(start, end))
+        if len(cuts):
+            apart = np.abs(s[:, None] - cuts).min(axis=1)
+            s = np.concatenate([s[apart > 0.05], cuts])
+        s = np.unique(np.round(s, 4))
         d: Floats = np.unique(np.round(np.asarray(self.d_cuts, np.float64), 4))
         grid_s, grid_d = np.meshgrid(s, d, indexing="ij")
         vertices = self.point(grid_s, grid_d).reshape(-1, 3)
         index = np.arange(grid_s.size).reshape(grid_s.shape)
         a, b, c, e = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
         faces = np.stack([a, b, c, a, c, e], axis=-1).reshape(-1, 3)
-        centre_s, centre_d = np.meshgrid(_middles(s), _middles(d), indexing="ij")
+        centre_s, centre_d = np.meshgrid(*(0.5 * (v[1:] + v[:-1]) for v in (s, d)), indexing="ij")
         kind = np.repeat(self.paint(centre_s.ravel(), centre_d.ravel()), 2)
         surfaces = np.array([tuple(paint) for paint in self.paints], SURFACE)
         return Mesh(vertices, faces.astype(np.int32), surfaces[kind])
@@ -112,16 +116,3 @@ def resting_poses(front: Floats, rear: Floats, left: Floats, right: Floats) -> F
     poses[:, :3, 3] = 0.5 * (front + rear)
     poses[:, 3, 3] = 1.0
     return poses
-
-
-def _breaks(start: float, end: float, step: float, cuts: Sequence[float]) -> Floats:
-    regular: Floats = np.arange(start, end + step, step)
-    cuts_array = np.asarray(cuts, np.float64)
-    if len(cuts_array):
-        distance = np.abs(regular[:, None] - cuts_array).min(axis=1)
-        regular = np.concatenate([regular[distance > 0.05], cuts_array])
-    return np.unique(np.round(regular, 4))
-
-
-def _middles(values: Floats) -> Floats:
-    return 0.5 * (values[1:] + values[:-1])

@@ -38,7 +38,7 @@ def city(seed: int) -> Scene:
             street.send("car", points, pace, name="leaves its parking place")
     _city_traffic(street)
     ego = Path(road, [(0.0, -_LANE), (100.0, -_LANE)], Pace(9.0, wave=0.06))
-    return street.scene("city", seed, ego, 24.0)
+    return street.scene("city", ego, 24.0)
 
 
 def _city_traffic(street: Street) -> None:
@@ -81,7 +81,7 @@ def crossing(seed: int) -> Scene:
     _crossing_traffic(street, centre + half)
     pace = Pace(1.2, departure=3.0, acceleration=0.5)
     ego = Path(road, [(0.0, -_LANE), (60.0, -_LANE)], pace)
-    return street.scene("crossing", seed, ego, 30.0)
+    return street.scene("crossing", ego, 30.0)
 
 
 def _crossing_traffic(street: Street, far_side: float) -> None:

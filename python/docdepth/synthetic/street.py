@@ -35,7 +35,6 @@ class Scene:
     Attributes
     ----------
     name : str
-    seed : int
     static : Mesh
         Everything that never moves, world frame [m].
     actors : list of Actor
@@ -46,7 +45,6 @@ class Scene:
     """
 
     name: str
-    seed: int
     static: Mesh
     actors: list[Actor]
     ego: Path
@@ -126,10 +124,10 @@ class Street:
                 shift = self.rng.normal(0, (0.2, 0.06, 0.015))
                 self.park(make(self.rng), s + shift[0], d + shift[1], yaw + shift[2])
 
-    def scene(self, name: str, seed: int, ego: Path, duration: float, step: float = 1.0) -> Scene:
+    def scene(self, name: str, ego: Path, duration: float, step: float = 1.0) -> Scene:
         """The finished scene."""
         static = merged([self.road.ground(step), *self.meshes])
-        return Scene(name, seed, static, self.actors, ego, duration)
+        return Scene(name, static, self.actors, ego, duration)
 
 
 KINDS: dict[str, tuple[Callable[[np.random.Generator], list[Part]], int, int, float, float]] = {

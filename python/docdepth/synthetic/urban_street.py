@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.synthetic import houses, road_users, roadside
+from docdepth.synthetic import road_users, roadside
 from docdepth.synthetic.mesh import Mesh
 from docdepth.synthetic.road import Floats, Road
 from docdepth.synthetic.street import PAINTS, Ground, Street, bumps, waves
@@ -96,7 +96,7 @@ def add_houses(street: Street, blocks: list[tuple[float, float]], face: float, t
                 height = float(rng.uniform(0.7, 1.3)) * tall
                 depth = float(rng.uniform(10, 13))
                 setback = float(rng.choice([0.0, 0.0, 0.4, 1.2]))
-                house = houses.building(rng, length, depth, height, shop=rng.random() < 0.5)
+                house = roadside.building(rng, length, depth, height, shop=rng.random() < 0.5)
                 yaw = 0.0 if side > 0 else np.pi
                 street.put(house, s + 0.5 * length, side * (face + setback + 0.5 * depth), yaw)
                 s += length + float(rng.choice([0.0, 0.0, 0.0, 2.5]))
@@ -104,7 +104,7 @@ def add_houses(street: Street, blocks: list[tuple[float, float]], face: float, t
         for side in (-1.0, 1.0):
             for d in np.arange(face + 23.0, 85.0, 17.0):
                 for s in (low + 5.0, high - 5.0):
-                    house = houses.building(rng, 10.0, 15.0, float(rng.uniform(0.7, 1.2)) * tall)
+                    house = roadside.building(rng, 10.0, 15.0, float(rng.uniform(0.7, 1.2)) * tall)
                     street.put(house, s, side * d)
 
 
