@@ -9,8 +9,23 @@ import numpy as np
 
 from docdepth.datasets import Sweep
 from docdepth.geometry.se3 import inverse, se3_exp, se3_log
+from lidar_rays import scan_rays
 
 MOTION = se3_exp(np.array([0.002, -0.004, 0.06]), np.array([1.1, 0.05, -0.01]))
+
+
+def nearest_box(
+    origins: np.ndarray, directions: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distance along rays to the first of boxes (inf: none), and which box it is."""
+    best, which = np.full(len(directions), np.inf), np.zeros(len(directions), np.int64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for k, (near, far) in enumerate(zip(low, high, strict=True)):
+            a, b = (near - origins) / directions, (far - origins) / directions
+            enter, leave = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)
+            hit = (enter < leave) & (enter > 0) & (enter < best)
+            best[hit], which[hit] = enter[hit], k
+    return best, which
 
 
 class Street:
@@ -32,16 +47,6 @@ class Street:
                 boxes.append(((x, car - 0.9, 0), (x + rng.uniform(3.5, 5), car + 0.9, 1.5)))
         self.low = np.array([low for low, _ in boxes], dtype=np.float64)
         self.high = np.array([high for _, high in boxes], dtype=np.float64)
-
-    def ranges(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        nearest = np.full(len(origins), np.inf)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            for low, high in zip(self.low, self.high, strict=True):
-                a, b = (low - origins) / directions, (high - origins) / directions
-                enter, leave = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)
-                hit = (enter < leave) & (enter > 0)
-                nearest = np.where(hit, np.minimum(nearest, enter), nearest)
-        return nearest
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Distance of points to the nearest surface."""
@@ -93,12 +98,7 @@ class Drive:
 
     def _measure(self, index: int) -> Sweep:
         column = np.linspace(np.pi, -np.pi, 360, endpoint=False)
-        beam = np.deg2rad(np.linspace(-24, 8, 24))
-        azimuth, elevation = (angle.ravel() for angle in np.meshgrid(column, beam))
-        ray = np.stack(
-            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
-             np.sin(elevation)], axis=1,
-        )  # fmt: skip
+        ray = scan_rays(np.deg2rad(np.linspace(-24, 8, 24)), column).reshape(-1, 3)
         relative_time = column * (-0.5 / np.pi if self.raw else 0.0)
         omega, velocity = se3_log(self.motion)
         pose = self.exact[index] @ np.array(
@@ -106,7 +106,8 @@ class Drive:
         )
         pose, relative_time = np.tile(pose, (24, 1, 1)), np.tile(relative_time, 24)
         direction = np.einsum("nij,nj->ni", pose[:, :3, :3], ray)
-        distance = self.street.ranges(pose[:, :3, 3], direction)
+        street = self.street
+        distance, _ = nearest_box(pose[:, :3, 3], direction, street.low, street.high)
         points = ray * np.where(np.isfinite(distance), distance, 0)[:, None]
         return Sweep(
             points.astype(np.float32),

@@ -10,7 +10,8 @@ import numpy as np
 from docdepth.geometry.se3 import inverse, se3_exp
 from docdepth.geometry.track import Track
 from docdepth.io.tracks import write_tracks
-from exact_drive import Street
+from exact_drive import Street, nearest_box
+from lidar_rays import scan_rays
 from small_drive import HEIGHT, TR, WIDTH, write_sweep
 
 SHUTTER = 0.37
@@ -23,21 +24,11 @@ _CAR = np.array([4.2, 1.8, 1.5])
 _PERIOD = 0.1
 
 
-def _rays() -> np.ndarray:
-    azimuth, elevation = np.meshgrid(
-        np.linspace(np.pi, -np.pi, 540, endpoint=False), np.radians(np.linspace(-20, 6, 26))
-    )
-    level = np.cos(elevation)
-    rays = [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)]
-    return np.stack(rays, axis=-1).reshape(-1, 3)
-
-
-class TrueStreet:
+class TrueStreet(Street):
     """The street, where cars drive: what a ray hits, and how far away."""
 
     def __init__(self) -> None:
-        street = Street()
-        self.low, self.high = street.low, street.high
+        super().__init__()
         cars = np.flatnonzero(self.high[:, 2] == 1.5)
         self.classes = np.full(len(self.low) + len(_MOVERS), BUILDING, np.uint32)
         self.classes[0] = ROAD
@@ -51,15 +42,8 @@ class TrueStreet:
         low = np.column_stack([_MOVERS[:, :2], np.zeros(len(_MOVERS))])
         low[:, 0] += _MOVERS[:, 2] * _PERIOD * moment
         low[:, :2] -= _CAR[:2] / 2
-        origin, u = T[:3, 3], rays @ T[:3, :3].T
-        best, what = np.full(len(u), np.inf), np.zeros(len(u), np.int64)
         boxes = np.vstack([self.low, low]), np.vstack([self.high, low + _CAR])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            for k, (near, far) in enumerate(zip(*boxes, strict=True)):
-                a, b = (near - origin) / u, (far - origin) / u
-                enter, leave = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)
-                hit = (enter < leave) & (enter > 0) & (enter < best)
-                best[hit], what[hit] = enter[hit], k
+        best, what = nearest_box(T[:3, 3], rays @ T[:3, :3].T, *boxes)
         speeds = np.zeros(len(self.classes))
         speeds[-len(_MOVERS) :] = np.abs(_MOVERS[:, 2])
         classes = np.where(np.isfinite(best), self.classes[what], 0).astype(np.uint32)
@@ -83,11 +67,12 @@ def write_true_drive(folder: Path, sweeps: int = 5) -> Path:
     _write_table(folder / "times.txt", _PERIOD * np.arange(sweeps)[:, None])
     cameras = [f"P{n}: 60 0 48 {-30 * (n - 2)} 0 60 20 0 0 0 1 0" for n in range(4)]
     (folder / "calib.txt").write_text("\n".join([*cameras, f"Tr: {TR}\n"]))
+    columns = np.linspace(np.pi, -np.pi, 540, endpoint=False)
+    beams = scan_rays(np.radians(np.linspace(-20, 6, 26)), columns).reshape(-1, 3)
     for k in range(sweeps):
-        rays = _rays()
-        distance, classes, speed = street.cast(pose(k), rays, k)
+        distance, classes, speed = street.cast(pose(k), beams, k)
         seen = np.isfinite(distance) & (distance < 80)
-        write_sweep(folder, k, rays[seen] * distance[seen, None])
+        write_sweep(folder, k, beams[seen] * distance[seen, None])
         classes[seen].tofile(folder / "labels" / f"{k:06d}.label")
         np.save(folder / "speeds" / f"{k:06d}.npy", speed[seen].astype(np.float16))
     moments = np.arange(sweeps - 1) + SHUTTER

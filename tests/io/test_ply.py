@@ -143,10 +143,8 @@ def replaced(old: bytes, new: bytes, layout: str = "binary_little_endian") -> by
         (replaced(b"format binary_little_endian 1.0\n", b""), "names no format"),
         (replaced(b"element vertex 3", b"element vertex -3"), "tells no number of rows"),
         (replaced(b"element vertex 3", b"element vertex 4"), "3 of 4 rows are there"),
-        (replaced(b"element vertex 3", b"element vertex 99999999999"), "3 of 99999999999 rows"),
         (replaced(b"element vertex 3", b"element vertex " + b"9" * 5000), "nothing has 999"),
         (replaced(b"element vertex 3", b"element points 3"), "it has no element 'vertex'"),
-        (replaced(b"element face 3", b"element face 99999999999"), "too short for 999"),
         (replaced(b"element face 3", b"element face 9"), "it ends within|rows|entries|too short"),
         (replaced(b"property float x", b"property floet x"), "has a type that PLY lacks"),
         (replaced(b"property float x", b"property list float int x"), "has a type that PLY lacks"),
@@ -157,7 +155,6 @@ def replaced(old: bytes, new: bytes, layout: str = "binary_little_endian") -> by
         (replaced(b"200 7", b"200 seven", "ascii"), "what is no number"),
         (replaced(b"200 7", b"300 7", "ascii"), "a value of intensity is no uchar"),
         (replaced(b"200 7", b"200 7.5", "ascii"), "a value of classid is no short"),
-        (replaced(b"element vertex 3", b"element vertex 9999999", "ascii"), "too short for 999"),
         (replaced(b"element face 3", b"element face 99", "ascii"), "6 of 99 rows of its face"),
     ],
 )  # fmt: skip
