@@ -256,23 +256,7 @@ class CameraStream(ShortRepr):
         return image
 
     def rectified_image(self, index: int) -> NDArray[np.uint8] | None:
-        """Read an image and remove its lens distortion, as depth maps see it.
-
-        Parameters
-        ----------
-        index : int
-            Which of ``images``.
-
-        Returns
-        -------
-        ndarray of uint8, shape (height, width, 3), or None
-            BGR; None when the images are not on disk.
-
-        Raises
-        ------
-        DatasetError
-            The file cannot be read, or its size differs from that of the camera.
-        """
+        """:meth:`image` without its lens distortion, as depth maps see it."""
         image, camera = self.image(index), self.camera
         if image is None:
             return None

@@ -21,25 +21,14 @@ RING_NAMES = ("ring", "channel", "laser_number", "laser_id", "line", "beam")
 
 @dataclass(frozen=True)
 class Cloud:
-    """The points of one LiDAR, a row for each row of the file.
+    """The points of one LiDAR, a row for each row of the file."""
 
-    Attributes
-    ----------
-    points : ndarray of float32 or float64, shape (N, 3)
-        Metres. Doubles are kept until points of the world are brought to the LiDAR frame.
-    intensity : ndarray of float32, shape (N,), optional
-    ring : ndarray of uint16, shape (N,), optional
-    times : ndarray, shape (N,), optional
-        As recorded, in any unit.
-    T_world_lidar : ndarray of float64, shape (4, 4), optional
-        The pose that comes with the sweep.
-    """
-
+    # (N, 3): Metres. Doubles are kept until points of the world are brought to the LiDAR frame
     points: NDArray[Any]
-    intensity: NDArray[np.float32] | None = None
-    ring: NDArray[np.uint16] | None = None
-    times: NDArray[Any] | None = None
-    T_world_lidar: NDArray[np.float64] | None = None
+    intensity: NDArray[np.float32] | None = None  # (N,)
+    ring: NDArray[np.uint16] | None = None  # (N,)
+    times: NDArray[Any] | None = None  # (N,): As recorded, in any unit
+    T_world_lidar: NDArray[np.float64] | None = None  # (4, 4): The pose that comes with the sweep
 
 
 class LidarReader(Protocol):
@@ -59,19 +48,12 @@ class LidarReader(Protocol):
 
 @dataclass(frozen=True)
 class FileLidar:
-    """A LiDAR whose sweeps are a file each.
-
-    Attributes
-    ----------
-    stream : LidarStream
-    sweeps : list of Path
-    read_file : callable
-        ``read_file(file, where)`` reads a sweep; ``where`` names file and frame in errors. A
-        function of a module, so that datasets can be sent to other processes.
-    """
+    """A LiDAR whose sweeps are a file each."""
 
     stream: LidarStream
     sweeps: list[Path]
+    # ``read_file(file, where)`` reads a sweep; ``where`` names file and frame in errors. A function
+    # of a module, so that datasets can be sent to other processes
     read_file: Callable[[Path, str], Cloud]
 
     def read(self, index: int) -> Cloud:

@@ -30,30 +30,17 @@ KITTI_COLUMNS = ("x", "y", "z", "intensity")
 
 @dataclass(frozen=True)
 class RowFormat:
-    """What the rows of a file without names are, of BIN or NPY.
+    """What the rows of a file without names are, of BIN or NPY."""
 
-    Attributes
-    ----------
-    columns : tuple of str
-        Names of the values of a point; ``_`` for those that mean nothing.
-    dtype : str
-        Of each value in a BIN file, in numpy's words.
-    """
-
+    # names of the values of a point; ``_`` for those that mean nothing
     columns: tuple[str, ...] = KITTI_COLUMNS
-    dtype: str = "float32"
+    dtype: str = "float32"  # of each value in a BIN file, in numpy's words
 
 
 def read_cloud(file: Path, where: str, rows: RowFormat) -> Cloud:
-    """Read the sweep of a file.
+    """Read the sweep of a file, which ``where`` names in errors.
 
-    Parameters
-    ----------
-    file : Path
-    where : str
-        File and frame, for messages.
-    rows : RowFormat
-        Of files that do not tell it themselves.
+    ``rows`` is of files that do not tell it themselves.
     """
     try:
         with _of_pcd(file, where):

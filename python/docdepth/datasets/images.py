@@ -18,18 +18,11 @@ class StoredImage:
     """An image within a file.
 
     It has the members of a Path that docdepth asks images for; ``stat`` is that of the file.
-
-    Attributes
-    ----------
-    file : Path
-    name : str
-        For messages.
-    read : callable
-        Returns the image: ndarray of uint8, shape (height, width, 3), BGR.
     """
 
     file: Path
-    name: str
+    name: str  # for messages
+    # returns the image: ndarray of uint8, shape (height, width, 3), BGR
     read: Callable[[], NDArray[np.uint8]]
 
     def __fspath__(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from decimal import Decimal
 from functools import partial
@@ -22,6 +22,7 @@ from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.se3 import are_rotations, nearest_rotation, poses_from
 
 _ROWS = packed(x="f4", y="f4", z="f4", reflectance="f4")
+ASKED = "the image size asked for"
 _NUMBER = re.compile(r"([0-9]+(?:\.[0-9]+)?)")
 _LEVER_ARM = 10.0  # metres between LiDAR and camera; on a lorry it is five
 
@@ -228,7 +229,26 @@ def image_files(folder: Path) -> list[Path]:
     return in_order(f for f in folder.glob("*") if f.suffix.lower() in (".png", ".jpg", ".jpeg"))
 
 
-def image_size(files: Sequence[Path]) -> tuple[int, int]:
-    """Width and height of the first image in pixels."""
+def image_size(files: Sequence[Path]) -> tuple[int, int] | None:
+    """Width and height of the first image in pixels; None if there is none."""
+    if not files:
+        return None
     image = first_readable(partial(read_image, flags=cv2.IMREAD_UNCHANGED), files)
     return image.shape[1], image.shape[0]
+
+
+def agreed_size(
+    whose: str, images: Sequence[Path], claims: Mapping[str, tuple[int, int] | None]
+) -> tuple[int, int] | None:
+    """Width and height in pixels that images and all claims have which are known."""
+    sizes = {**({str(images[0]): image_size(images)} if images else {}), **claims}
+    known = [(source, size) for source, size in sizes.items() if size]
+    for source, (width, height) in known[1:]:
+        first, size = known[0]
+        if (width, height) != size:
+            raise CalibrationError(
+                f"{whose}: {first} is {size[0]} x {size[1]} but {source} is {width} x {height} "
+                "pixels; use the calibration of these images",
+                "give no `image_size`" if source == ASKED else "",
+            )
+    return known[0][1] if known else None

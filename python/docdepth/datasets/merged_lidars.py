@@ -29,23 +29,13 @@ _FINEST = 8  # returns; borders are found to that
 
 
 class Stretch(NamedTuple):
-    """Returns ``begin`` to ``end`` - 1 of a cloud, and how many have neighbours.
-
-    Attributes
-    ----------
-    begin, end : int
-    place : tuple of float
-        The place in metres from which most have neighbours.
-    neighbored : float
-        Returns that have, seen from there.
-    from_places : ndarray of float64, shape (k,)
-        The same of each place that was looked from; an estimate where several parts were joined.
-    """
+    """Returns ``begin`` to ``end`` - 1 of a cloud, and how many have neighbours."""
 
     begin: int
     end: int
-    place: Place
-    neighbored: float
+    place: Place  # the place in metres from which most have neighbours
+    neighbored: float  # returns that have, seen from there
+    # (k,): The same of each place that was looked from; an estimate where several parts were joined
     from_places: NDArray[np.float64]
 
 
@@ -53,14 +43,8 @@ def find_lidars(clouds: Sequence[Cloud], around: Place) -> list[Place]:
     """Places of the LiDARs that clouds were merged of, in the order of their returns.
 
     A border between two of them is at about the same row of each sweep. Borders between parts of
-    what one LiDAR measured are not, if any are found.
-
-    Parameters
-    ----------
-    clouds : sequence of ndarray of float32, shape (N, 3)
-        Two sweeps: finite points in the order of the file, metres.
-    around : tuple of float
-        The place from which most returns have neighbours in one mesh; metres.
+    what one LiDAR measured are not, if any are found. ``clouds`` are two sweeps as
+    :func:`find_stretches` takes them; from ``around`` most returns have neighbours in one mesh.
     """
     first, second = (
         np.array([s.end / len(cloud) for s in find_stretches(cloud, around, _blocks(len(cloud)))])
@@ -75,16 +59,8 @@ def find_stretches(cloud: Cloud, around: Place, borders: Sequence[int]) -> list[
     """Parts of a cloud that were measured from one place each.
 
     Neighbouring parts are joined as long as their returns have neighbours in one mesh, seen from
-    one place, as in two.
-
-    Parameters
-    ----------
-    cloud : ndarray of float32, shape (N, 3)
-        Finite points in the order of the file, metres.
-    around : tuple of float
-        Places around this one are tried; metres.
-    borders : sequence of int
-        The parts: rows where they begin, and N.
+    one place, as in two. ``cloud`` (N, 3) has finite points in the order of the file, metres.
+    Places around ``around`` are tried. ``borders`` are rows where the parts begin, and N.
     """
     steps = np.array(list(itertools.product(*_GRID)), np.float64)
     places: list[Place] = [(x, y, z) for x, y, z in (steps + around).tolist()]
@@ -118,19 +94,10 @@ def find_stretches(cloud: Cloud, around: Place, borders: Sequence[int]) -> list[
 
 
 def lidar_ends(cloud: Cloud, places: Sequence[Place]) -> NDArray[np.intp]:
-    """Where the returns of each LiDAR end, if those of several lie one after the other.
+    """Ascending row behind the last return of each LiDAR, if they lie one after the other; (k,).
 
-    Parameters
-    ----------
-    cloud : ndarray of float32, shape (N, 3)
-        Points in the order of the file, metres. Those that are not finite are no returns.
-    places : sequence of (float, float, float)
-        Of the LiDARs in the order of the file.
-
-    Returns
-    -------
-    ndarray of int, shape (k,)
-        Ascending row behind the last return of each LiDAR; the last is N.
+    ``cloud`` (N, 3) has points in the order of the file, metres; those that are not finite are no
+    returns. ``places`` are those of the LiDARs in this order. The last end is N.
     """
     blocks = _blocks(len(cloud))
     counts = np.array(
@@ -144,14 +111,9 @@ def lidar_ends(cloud: Cloud, places: Sequence[Place]) -> NDArray[np.intp]:
 
 
 def rig_in_order(places: Sequence[Place], ends: NDArray[np.intp]) -> SensorRig:
-    """The rig of a sweep whose LiDARs measured one after the other.
+    """The rig of a sweep whose LiDARs at ``places`` measured one after the other.
 
-    Parameters
-    ----------
-    places : sequence of (float, float, float)
-        Metres, in the frame of the points.
-    ends : ndarray of int, shape (k,)
-        Those of :func:`lidar_ends`.
+    ``ends`` are those of :func:`lidar_ends`.
     """
     T_lidar_sensor = np.repeat(np.eye(4)[None], len(places), axis=0)
     T_lidar_sensor[:, :3, 3] = places

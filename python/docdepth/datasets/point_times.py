@@ -45,44 +45,23 @@ _SHARE = {"start": 0.0, "middle": 0.5, "end": 1.0}
 
 
 class TimeSample(NamedTuple):
-    """Times of the points of one sweep as recorded.
+    """Times of the points of one sweep as recorded."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (N,)
-        Of any number type.
-    usable : ndarray of bool, shape (N,)
-        Which rows are returns; others often have time 0.
-    stamp : int
-        Nanoseconds.
-    """
-
-    values: NDArray[Any]
-    usable: NDArray[np.bool_]
-    stamp: int
+    values: NDArray[Any]  # (N,): Of any number type
+    usable: NDArray[np.bool_]  # (N,): Which rows are returns; others often have time 0
+    stamp: int  # nanoseconds
 
 
 @dataclass(frozen=True)
 class PointTimes:
-    """How a recording counts the times of its points.
+    """How a recording counts the times of its points."""
 
-    Attributes
-    ----------
-    unit : int
-        Nanoseconds of one count.
-    origin : {"stamp", "clock", "first"}
-        Times count from the sweep's stamp, on the clock of the stamps, or on another clock, of
-        which only the differences within a sweep are used.
-    shift : int
-        Nanoseconds to add, where the stamp is not at the instant the values count from.
-    period : int
-        Nanoseconds between sweeps.
-    """
-
-    unit: int
+    unit: int  # nanoseconds of one count
+    # times count from the sweep's stamp, on the clock of the stamps, or on another clock, of which
+    # only the differences within a sweep are used
     origin: Literal["stamp", "clock", "first"]
-    shift: int
-    period: int
+    shift: int  # nanoseconds to add, where the stamp is not at the instant the values count from
+    period: int  # nanoseconds between sweeps
 
     def relative(self, sample: TimeSample) -> NDArray[np.float32] | None:
         """When each point was measured, as :attr:`~docdepth.datasets.Sweep.relative_time`.

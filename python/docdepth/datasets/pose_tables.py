@@ -93,24 +93,10 @@ def read_table_poses(
     poses_of: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     unit: int = 1,
 ) -> NDArray[np.float64] | None:
-    """Poses of a table at the times of the sweeps; NaN where they are not known.
+    """Poses (n, 4, 4) of a table at the times of the sweeps; NaN where they are not known.
 
-    Parameters
-    ----------
-    file : Path
-    columns, remedy
-        As of :func:`read_pose_table`.
-    times : ndarray of int64, shape (n,)
-        Nanoseconds of the sweeps.
-    poses_of : callable
-        Makes ``T_world_lidar`` (m, 4, 4) of rows of the table.
-    unit : int
-        Nanoseconds of a count of its stamps.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 4, 4), or None
-        None if there is no such file.
+    ``columns`` and ``remedy`` are those of :func:`read_pose_table`. ``poses_of`` makes
+    ``T_world_lidar`` (m, 4, 4) of rows, whose stamps count ``unit`` nanoseconds. None without file.
     """
     if not is_there(file):
         return None
@@ -135,15 +121,8 @@ def rows_around(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """The rows before and after each sweep, the first and the last: all that poses come from.
 
-    Tables have up to a million rows, of which few lie beside a sweep.
-
-    Parameters
-    ----------
-    stamps : ndarray of int64, shape (n,)
-        Nanoseconds, increasing.
-    rows : ndarray of float64, shape (n, k)
-    times : ndarray of int64, shape (m,)
-        Nanoseconds of the sweeps.
+    Tables have up to a million rows (n, k), of which few lie beside a sweep. ``stamps`` (n,) and
+    ``times`` (m,) of the sweeps are nanoseconds, increasing.
     """
     after, last = np.searchsorted(stamps, times), len(stamps) - 1
     kept = np.unique(np.concatenate([(after - 1).clip(0), after.clip(max=last), [0, last]]))
@@ -215,19 +194,9 @@ def continue_ends(
 ) -> NDArray[np.float64]:
     """Poses of sweeps just before the first pose and after the last one: the motion goes on.
 
-    Parameters
-    ----------
-    result : ndarray of float64, shape (m, 4, 4)
-        Poses at the times of the sweeps.
-    stamps : ndarray of int64, shape (n,)
-        Nanoseconds of the known poses, increasing.
-    poses : ndarray of float64, shape (n, 4, 4)
-    times : ndarray of int64, shape (m,)
-
-    Returns
-    -------
-    ndarray of float64, shape (m, 4, 4)
-        With those up to 0.15 s outside, a sweep and a half.
+    ``result`` (m, 4, 4) are poses at ``times`` (m,), ``poses`` (n, 4, 4) those that are known at
+    ``stamps`` (n,), increasing; nanoseconds. Sweeps up to 0.15 s outside get one, a sweep and a
+    half.
     """
     result = result.copy()
     for near, beside in ((0, 1), (-1, -2)) if len(stamps) > 1 else ():
@@ -243,12 +212,7 @@ def continue_ends(
 def whole_poses(partial: NDArray[np.float64] | None, path: Path) -> NDArray[np.float64] | None:
     """The poses if every sweep has one, else None with a warning that says which sweeps do.
 
-    Parameters
-    ----------
-    partial : ndarray of float64, shape (n, 4, 4), optional
-        NaN where a pose is not known.
-    path : Path
-        The recording.
+    ``partial`` (n, 4, 4) is NaN where a pose of the recording ``path`` is not known.
     """
     if partial is None:
         return None

@@ -66,8 +66,7 @@ _OWN: tuple[Format, ...] = (
 
 def format_names() -> tuple[str, ...]:
     """Names of all formats: docdepth's own, and those of installed packages."""
-    own = tuple(known.name for known in _OWN)
-    return own + tuple(sorted({point.name for point in _foreign()} - set(own)))
+    return (*(known.name for known in _OWN), *sorted(_foreign()))
 
 
 def open_dataset(
@@ -150,8 +149,10 @@ def find_recordings(root: Path, dataset: str | None = None) -> list[Path]:
     return [place for place, _ in _recordings_below(root, _DEEPEST, formats)]
 
 
-def _foreign() -> list[EntryPoint]:
-    return list(entry_points(group=ENTRY_POINTS))
+def _foreign() -> dict[str, EntryPoint]:
+    """Formats of other packages by name; none takes a name of docdepth's own."""
+    own = {known.name for known in _OWN}
+    return {p.name: p for p in entry_points(group=ENTRY_POINTS) if p.name not in own}
 
 
 def _load(point: EntryPoint) -> Format:
@@ -171,24 +172,20 @@ def _load(point: EntryPoint) -> Format:
 
 
 def _named(name: str) -> Format:
-    own = {known.name: known for known in _OWN}
-    if name in own:
-        return own[name]
-    for point in _foreign():
-        if point.name == name:
-            return _load(point)
-    raise DatasetError(f"unknown dataset {name!r}; there are {', '.join(format_names())}")
+    own, foreign = {known.name: known for known in _OWN}, _foreign()
+    if name not in own | foreign:
+        raise DatasetError(f"unknown dataset {name!r}; there are {', '.join(format_names())}")
+    return own[name] if name in own else _load(foreign[name])
 
 
 def _all() -> list[Format]:
     """All formats; those of other packages come first, since they know their files better."""
-    own, formats = {known.name for known in _OWN}, []
-    for point in _foreign():
-        if point.name not in own:
-            try:
-                formats.append(_load(point))
-            except DatasetError as error:
-                log.warning("%s", error)
+    formats = []
+    for point in _foreign().values():
+        try:
+            formats.append(_load(point))
+        except DatasetError as error:
+            log.warning("%s", error)
     return [*formats, *_OWN]
 
 

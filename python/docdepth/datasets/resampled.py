@@ -40,23 +40,12 @@ class ResampledLidar:
 
     Points keep the order in which they were recorded. Every point is in the one sweep of its own
     time; rows without a return, whose times mean nothing, may be anywhere.
-
-    Attributes
-    ----------
-    measured : LidarReader
-        Its sweeps as they were recorded.
-    point_times : PointTimes
-        How their points count times.
-    starts : ndarray of int64, shape (m,)
-        Nanoseconds.
-    duration : int
-        Nanoseconds.
     """
 
-    measured: LidarReader
-    point_times: PointTimes
-    starts: NDArray[np.int64]
-    duration: int
+    measured: LidarReader  # its sweeps as they were recorded
+    point_times: PointTimes  # how their points count times
+    starts: NDArray[np.int64]  # (m,): Nanoseconds
+    duration: int  # nanoseconds
     _clouds: OpenedOnce[OrderedDict[int, tuple[Cloud, NDArray[np.int64]]]] = field(
         default_factory=partial(OpenedOnce, OrderedDict)
     )
@@ -153,20 +142,11 @@ def resample(
     point_times: Sequence[PointTimes | None],
     path: Path,
 ) -> tuple[list[ResampledLidar], NDArray[np.float64] | None]:
-    """LiDARs with sweeps of another duration, and poses at the new stamps.
+    """LiDARs with sweeps of ``duration`` seconds, and poses at the new stamps.
 
-    Parameters
-    ----------
-    lidars : sequence of LidarReader
-        The sweeps of all are those of the first one's times.
-    poses : ndarray of float64, shape (n, 4, 4), optional
-        Of the measured sweeps; NaN where they are not known.
-    duration : float
-        Seconds.
-    point_times : sequence of PointTimes or None
-        Of each LiDAR.
-    path : Path
-        The recording, for errors.
+    The sweeps of all are those of the first one's times. ``poses`` (n, 4, 4) are NaN where they are
+    not known. ``point_times`` are those of each LiDAR. Times of points have to be known, and there
+    has to be at least half of a sweep.
     """
     nanoseconds = round(duration * 1e9)
     starts = None
@@ -198,22 +178,11 @@ def resample(
 def sweep_starts(
     stamps: NDArray[np.int64], span: tuple[int, int], duration: int
 ) -> NDArray[np.int64]:
-    """Starts of sweeps of a duration, one after the other, where the LiDAR measured.
+    """Starts (m,) of sweeps of a duration, one after the other, where the LiDAR measured.
 
-    Parameters
-    ----------
-    stamps : ndarray of int64, shape (n,)
-        Nanoseconds of the measured sweeps.
-    span : (int, int)
-        Nanoseconds from the stamp to the first and to the last point of a sweep.
-    duration : int
-        Nanoseconds.
-
-    Returns
-    -------
-    ndarray of int64, shape (m,)
-        Sweeps that were measured for less than half of their duration, as at the end and in gaps,
-        are left out.
+    ``span`` is from the stamp of a measured sweep to its first and its last point; all are
+    nanoseconds. Sweeps that were measured for less than half of their duration, as at the end and
+    in gaps, are left out.
     """
     first, last = stamps + span[0], stamps + span[1]
     begin = max(int(first.min()), 0)  # runs keep no stamps before zero

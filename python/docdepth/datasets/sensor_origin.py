@@ -36,21 +36,11 @@ _FARTHEST = 4.0  # metres from the origin along each axis: no LiDAR sits farther
 
 
 class SensorOrigin(NamedTuple):
-    """Where the LiDARs of a sweep are, in the frame of its points.
+    """Where the LiDARs of a sweep are, in the frame of its points."""
 
-    Attributes
-    ----------
-    places : list of tuple of float
-        x, y, z in metres. Of several LiDARs, in the order of their returns.
-    share : float
-        Of the returns that have neighbours, seen from there.
-    at_origin : float
-        The same, seen from the origin.
-    """
-
-    places: list[Place]
-    share: float
-    at_origin: float
+    places: list[Place]  # x, y, z in metres. Of several LiDARs, in the order of their returns
+    share: float  # of the returns that have neighbours, seen from there
+    at_origin: float  # the same, seen from the origin
 
 
 def estimate_sensor_origin(recording: Dataset) -> SensorOrigin | None:

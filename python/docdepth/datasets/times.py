@@ -39,23 +39,11 @@ def read_times(path: Path) -> NDArray[np.int64]:
 
 
 def read_times_of(files: Sequence[Path], table: Path, what: str, remedy: str) -> NDArray[np.int64]:
-    """Read the time of each of these files from a table.
+    """Read the time of each of these files, in order, from a table; nanoseconds.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        Sweeps or images, in order.
-    table : Path
-        A line for each file, or for each number that may be in a file's name.
-    what : str
-        What the table holds, for errors: "times" or "stamps".
-    remedy : str
-        What to do if the table is missing.
-
-    Returns
-    -------
-    ndarray of int64, shape (len(files),)
-        Nanoseconds, strictly increasing.
+    It has a line for each file, or for each number that may be in a file's name. ``what`` it holds,
+    "times" or "stamps", and the ``remedy`` if it is missing are for errors. Times increase
+    strictly.
     """
     stamps = _parse(read_lines(table, remedy), table)
     times: NDArray[np.int64] = stamps[match_rows(files, len(stamps), table, what)]
@@ -92,18 +80,11 @@ def _nanoseconds(text: str, line: int, path: Path) -> int:
 def times_of_files(
     files: Sequence[Path], table: str | None, folder: Path, remedy: str
 ) -> NDArray[np.int64]:
-    """Nanoseconds of each file, strictly increasing.
+    """Nanoseconds of each file, in order and strictly increasing.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        In order.
-    table : str, optional
-        File with a line for each, relative to ``folder``, or ``names``. If left out, a table beside
-        the files or their folder is taken, else their names.
-    folder : Path
-    remedy : str
-        What to do where nothing tells the times.
+    ``table``, relative to ``folder``, has a line for each, or is ``names``. If it is left out, a
+    table beside the files or their folder is taken, else their names. ``remedy`` is what to do
+    where nothing tells the times.
     """
     if table not in (None, "names"):
         return read_times_of(files, folder / str(table), "times", remedy)

@@ -27,18 +27,10 @@ _SAMPLES = 3  # sweeps that tell in which frame returns have neighbours
 def ground_of(
     recording: Dataset, rotations: NDArray[np.float64] | None = None
 ) -> GroundPlane | None:
-    """The ground around the LiDAR of a drive, by some of its sweeps.
+    """The ground around the LiDAR of a drive, by some of its sweeps; None if they do not agree.
 
-    Parameters
-    ----------
-    recording : Dataset
-    rotations : ndarray of float64, shape (n, 3, 3), optional
-        Of each sweep's points into the frame that the ground is wanted in; LiDAR frame if absent.
-
-    Returns
-    -------
-    GroundPlane or None
-        None if the sweeps do not agree.
+    ``rotations`` (n, 3, 3) take each sweep's points into the frame that the ground is wanted in;
+    it is the LiDAR frame if they are left out.
     """
     clouds = []
     for k in sorted({int(k) for k in np.linspace(0, len(recording) - 1, _GROUND_SWEEPS)}):

@@ -12,11 +12,11 @@ from pydantic import Field
 
 from docdepth.datasets.base import CameraStream, ImageStream, LidarStream
 from docdepth.datasets.cloud import LidarReader
-from docdepth.datasets.kitti_files import image_files, image_size
+from docdepth.datasets.kitti_files import agreed_size, image_files
 from docdepth.datasets.recording import Poses, Recording
 from docdepth.datasets.settings import CameraSettings, RecordingSettings
 from docdepth.datasets.times import read_times, times_of_files
-from docdepth.errors import CalibrationError, Collector, DatasetError
+from docdepth.errors import Collector, DatasetError
 
 log = logging.getLogger(__name__)
 
@@ -51,14 +51,9 @@ def yaml_recording(
     settings: CameraRecordingSettings,
     image_size: tuple[int, int] | None,
 ) -> Recording:
-    """A recording whose cameras are those that ``docdepth.yaml`` describes.
+    """A :class:`Recording` whose cameras are those that ``docdepth.yaml`` describes.
 
-    Parameters
-    ----------
-    name, path, lidars, poses, settings
-        As of :class:`Recording`.
-    image_size : (int, int), optional
-        Width and height of cameras that are described without images.
+    ``image_size`` is width and height of cameras that are described without images.
     """
     cameras, uncalibrated = yaml_cameras(path, settings, lidars[0].stream, image_size)
     return Recording(name, path, lidars, cameras, poses, settings, uncalibrated=uncalibrated)
@@ -72,15 +67,9 @@ def yaml_cameras(
 ) -> tuple[dict[str, CameraStream], dict[str, ImageStream]]:
     """The cameras that ``docdepth.yaml`` describes, and those that it does not describe whole.
 
-    Parameters
-    ----------
-    folder : Path
-        Of the recording; images and tables are relative to it.
-    settings : CameraRecordingSettings
-    lidar : LidarStream
-        Its sweeps may give the times.
-    asked : (int, int), optional
-        Width and height of cameras of which no more is known.
+    Images and tables are relative to ``folder``, that of the recording. The sweeps of ``lidar`` may
+    give the times. ``asked`` is width and height of cameras of which no more is known. Errors of
+    all cameras are told together.
     """
     cameras: dict[str, CameraStream] = {}
     uncalibrated: dict[str, ImageStream] = {}
@@ -107,11 +96,7 @@ def _camera(
     images = image_files(folder / settings.images) if settings.images else []
     if settings.images and not images:
         raise DatasetError(f"{where}: {folder / settings.images} holds no images (png, jpg)")
-    size = image_size(images) if images else None
-    if size and settings.size and size != settings.size:
-        raise CalibrationError(
-            f"{where}: {images[0]} is {size} pixels, but size is {settings.size}"
-        )
+    size = agreed_size(where, images, {"size": settings.size}) or asked
     times, names = _image_times(folder, settings, images, lidar, where)
     if images and (settings.K is None or settings.T_camera_lidar is None):
         lacks = "K" if settings.K is None else "T_camera_lidar"
@@ -121,7 +106,7 @@ def _camera(
         return ImageStream(name, times, names, images, camera, settings.lens(), settings.model)
     return CameraStream(
         name,
-        settings.camera(size or settings.size or asked, where),
+        settings.camera(size, where),
         settings.extrinsic(where),
         times,
         names,

@@ -73,7 +73,7 @@ def _camera(
     images = image_files(path / "camera")
     return CameraStream(
         "camera",
-        Camera(K.reshape(-1, 4)[:3, :3], *(image_size(images) if images else size)),
+        Camera(K.reshape(-1, 4)[:3, :3], *(image_size(images) or size)),
         _transform(calib / "T_camera_lidar.txt") @ T_theirs_lidar,
         times_of_names(images, MICROSECOND, "names of images are stamps")
         if images

@@ -33,26 +33,13 @@ _LAST_YEAR = 2100
 
 @dataclass(frozen=True)
 class Datum:
-    """A sweep or an image of a scene.
+    """A sweep or an image of a scene."""
 
-    Attributes
-    ----------
-    name : str
-        Of the sensor.
-    kind : str
-        ``point_cloud`` or ``image``.
-    time : int
-        Nanoseconds.
-    file : Path
-    entry : dict
-        What the scene says of it.
-    """
-
-    name: str
-    kind: str
-    time: int
+    name: str  # of the sensor
+    kind: str  # ``point_cloud`` or ``image``
+    time: int  # nanoseconds
     file: Path
-    entry: dict[str, Any]
+    entry: dict[str, Any]  # what the scene says of it
 
 
 def read_sweep(file: Path, where: str, columns: dict[Path, list[str]]) -> Cloud:

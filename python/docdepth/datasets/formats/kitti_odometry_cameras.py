@@ -35,17 +35,9 @@ def read_cameras(
 ) -> dict[str, CameraStream]:
     """The cameras ``image_0`` to ``image_3`` that ``calib.txt`` has a projection of.
 
-    Parameters
-    ----------
-    sequence : Path
-    sweeps : list of Path
-    sweep_times : ndarray of int64, shape (n,)
-        Nanoseconds; cameras without times of their own fire with the sweeps.
-    calibration : Calibration
-    T_camera0_lidar : ndarray of float64, shape (4, 4)
-        Takes LiDAR points to the rectified reference camera.
-    image_size : (int, int), optional
-        Width and height in pixels that the caller gives.
+    ``T_camera0_lidar`` (4, 4) takes LiDAR points to the rectified reference camera. Cameras without
+    times of their own fire with the sweeps. ``image_size`` is width and height that the caller
+    gives, pixels.
     """
     folders = {n: sequence / f"image_{n}" for n in range(4) if f"P{n}" in calibration}
     if not folders:
@@ -114,19 +106,11 @@ def _image_size(
     folder: Path, images: list[Path], asked: tuple[int, int] | None
 ) -> tuple[int, int] | None:
     """Size of the images from themselves, ``size.txt`` or the caller; None if unknown."""
-    known: tuple[int, int] | None = None
-    source = folder / "size.txt"
-    if images:
-        source, known = images[0], kitti_files.image_size(images)
-    elif is_there(source):
+    source, told = folder / "size.txt", None
+    if not images and is_there(source):
         words = " ".join(read_lines(source, "write width and height in pixels")).split()
         if len(words) != 2 or not all(word.isdigit() for word in words):
             raise DatasetError(f"{source} must be two numbers, width and height in pixels")
-        known = (int(words[0]), int(words[1]))
-    if known and asked and known != asked:
-        raise CalibrationError(
-            f"{source} is {known[0]} x {known[1]} pixels, the image size asked for is "
-            f"{asked[0]} x {asked[1]}",
-            "give no `image_size`",
-        )
-    return known or asked
+        told = int(words[0]), int(words[1])
+    claims = {str(source): told, kitti_files.ASKED: asked}
+    return kitti_files.agreed_size(folder.name, images, claims)

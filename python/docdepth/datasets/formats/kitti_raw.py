@@ -156,27 +156,17 @@ def image_size_of(
     calibration: Calibration, number: str, images: list[Path], asked: tuple[int, int] | None
 ) -> tuple[int, int]:
     """Size of the rectified images from all that tell it, which must agree."""
-    known: list[tuple[str, tuple[int, int]]] = []
-    if images:
-        known.append((str(images[0]), kitti_files.image_size(images)))
-    name = f"S_rect_{number}"
+    name, told = f"S_rect_{number}", None
     if name in calibration:
         width, height = calibration.matrix(name, 2)
-        known.append((f"{calibration.file} ({name})", (round(width), round(height))))
-    if asked is not None:
-        known.append(("the image size asked for", asked))
-    if not known:
+        told = round(width), round(height)
+    claims = {f"{calibration.file} ({name})": told, kitti_files.ASKED: asked}
+    size = kitti_files.agreed_size(f"image_{number}", images, claims)
+    if size is None:
         raise CalibrationError(
             f"{calibration.file} has no '{name}:' and image_{number} has no images",
             "give their size by `image_size`, for example 1242x375",
         )
-    source, size = known[0]
-    for other, claimed in known[1:]:
-        if claimed != size:
-            raise CalibrationError(
-                f"image_{number}: {source} is {size[0]} x {size[1]} but {other} is "
-                f"{claimed[0]} x {claimed[1]} pixels; use the calibration of these images"
-            )
     return size
 
 
@@ -190,22 +180,11 @@ def lies_in_kitti_360(drive: Path) -> bool:
 
 
 def read_oxts(drive: Path, times: NDArray[np.int64]) -> NDArray[np.float64] | None:
-    """Poses of the LiDAR at the times of the sweeps.
+    """Poses of the LiDAR at the times of the sweeps (n,), nanoseconds; NaN where not known.
 
     The world is east, north, up from the place of the first packet. Packets have their own times:
     poses are interpolated, and continued to sweeps a little before the first packet.
-
-    Parameters
-    ----------
-    drive : Path
-        ``DATE/DATE_drive_NNNN_sync``; ``DATE/calib_imu_to_velo.txt`` tells where the IMU sits.
-    times : ndarray of int64, shape (n,)
-        Nanoseconds of the sweeps.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 4, 4), or None
-        ``T_world_lidar``, NaN where it is not known. None without packets or that calibration.
+    ``DATE/calib_imu_to_velo.txt`` tells where the IMU sits. None without it or without packets.
     """
     files = in_order((drive / "oxts" / "data").glob("*.txt"))
     if not files:

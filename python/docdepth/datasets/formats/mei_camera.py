@@ -27,30 +27,18 @@ _SECTIONS = {
 
 @dataclass(frozen=True)
 class MeiCamera:
-    """A fisheye, and the pinhole camera to which its images are rectified.
+    """A fisheye, and the pinhole camera to which its images are rectified."""
 
-    Attributes
-    ----------
-    xi : float
-        Of the mirror.
-    k1, k2, p1, p2 : float
-        Radial and tangential distortion.
-    gamma1, gamma2, u0, v0 : float
-        Focal lengths and principal point, pixels.
-    width, height : int
-        Of the images, pixels.
-    """
-
-    xi: float
-    k1: float
+    xi: float  # of the mirror
+    k1: float  # radial and tangential distortion
     k2: float
     p1: float
     p2: float
-    gamma1: float
+    gamma1: float  # focal lengths and principal point, pixels
     gamma2: float
     u0: float
     v0: float
-    width: int
+    width: int  # of the images, pixels
     height: int
 
     @property

@@ -38,15 +38,9 @@ _Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Tables:
-    """The tables of a version of nuScenes.
+    """The tables of a version of nuScenes."""
 
-    Attributes
-    ----------
-    folder : Path
-        ``ROOT/v1.0-mini`` or the like.
-    """
-
-    folder: Path
+    folder: Path  # ``ROOT/v1.0-mini`` or the like
 
     def rows(self, name: str) -> list[_Row]:
         """All rows of a table."""

@@ -177,7 +177,7 @@ def _camera(folder: Path) -> CameraStream:
         folder.name,
         Camera(
             np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
-            *(image_size(images) if images else _SIZE),
+            *(image_size(images) or _SIZE),
         ),
         T_camera_lidar(folder.name),
         _times(stamps, count, "images"),

@@ -15,19 +15,8 @@ Key = tuple[int, ...]
 class ParquetRows:
     """A Parquet file whose rows are read one at a time, from any thread.
 
-    Parameters
-    ----------
-    file : Path
-    keys : tuple of str
-        Columns of whole numbers that tell a row.
-    remedy : str
-        What to do if the file is missing or damaged.
-
-    Attributes
-    ----------
-    file : Path
-    rows : dict
-        By key the number of the group of rows, and of the row in it.
+    ``keys`` are columns of whole numbers that tell a row. Attribute ``rows`` has by key the number
+    of the group of rows, and of the row in it.
     """
 
     def __init__(self, file: Path, keys: tuple[str, ...], remedy: str) -> None:

@@ -43,38 +43,19 @@ _MOVES = 0.2  # metres within a sweep; less does not tell which column came firs
 
 @dataclass(frozen=True)
 class WaymoLidar:
-    """One of the five LiDARs, whose sweeps are range images.
-
-    Attributes
-    ----------
-    stream : LidarStream
-    number : int
-        As Waymo numbers LiDARs.
-    frames : list of int
-        Microseconds that name each frame.
-    images : ParquetRows
-    beams : Beams
-    T_own_vehicle : ndarray of float64, shape (4, 4)
-        Takes points of the vehicle to the frame of this LiDAR.
-    poses : ParquetRows, optional
-        Of the vehicle at each pixel; of the upper LiDAR alone.
-    T_world_vehicle : ndarray of float64, shape (n, 4, 4)
-    period : int
-        Nanoseconds from frame to frame.
-    clockwise : bool
-        Columns were measured from the first to the last.
-    """
+    """One of the five LiDARs, whose sweeps are range images."""
 
     stream: LidarStream
-    number: int
-    frames: list[int]
+    number: int  # as Waymo numbers LiDARs
+    frames: list[int]  # microseconds that name each frame
     images: ParquetRows
     beams: Beams
+    # (4, 4): Takes points of the vehicle to the frame of this LiDAR
     T_own_vehicle: NDArray[np.float64]
-    poses: ParquetRows | None
-    T_world_vehicle: NDArray[np.float64]
-    period: int
-    clockwise: bool = True
+    poses: ParquetRows | None  # of the vehicle at each pixel; of the upper LiDAR alone
+    T_world_vehicle: NDArray[np.float64]  # (n, 4, 4)
+    period: int  # nanoseconds from frame to frame
+    clockwise: bool = True  # columns were measured from the first to the last
 
     def read(self, index: int) -> Cloud:
         """Own sweep ``index``: a row for each pixel of the first return."""

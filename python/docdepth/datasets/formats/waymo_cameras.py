@@ -62,16 +62,8 @@ def read_cameras(
     """The cameras of a segment; those without images fire with the sweeps.
 
     The time of an image is that of its middle column or row: halfway between trigger and the end
-    of the readout.
-
-    Parameters
-    ----------
-    calibration : Path
-        Of the component ``camera_calibration``; without it there are no cameras.
-    images : Path
-        Of ``camera_image``; may be missing.
-    T_vehicle_lidar : ndarray of float64, shape (4, 4)
-    lidar : LidarStream
+    of the readout. Without the file ``calibration`` there are no cameras; ``images`` may be
+    missing. ``T_vehicle_lidar`` is (4, 4).
     """
     if not calibration.is_file():
         return {}

@@ -12,21 +12,13 @@ from docdepth.geometry.se3 import inverse
 
 @dataclass(frozen=True)
 class Beams:
-    """The rays of a LiDAR.
+    """The rays of a LiDAR."""
 
-    Attributes
-    ----------
-    T_vehicle_sensor : ndarray of float64, shape (4, 4)
-    inclinations : ndarray of float64, shape (k,)
-        Radians of each laser, from the lowest; or the least and the greatest, between which lasers
-        are spread evenly.
-    even : bool
-        Lasers are spread evenly.
-    """
-
-    T_vehicle_sensor: NDArray[np.float64]
+    T_vehicle_sensor: NDArray[np.float64]  # (4, 4)
+    # (k,): Radians of each laser, from the lowest; or the least and the greatest, between which
+    # lasers are spread evenly
     inclinations: NDArray[np.float64]
-    even: bool
+    even: bool  # lasers are spread evenly
 
     def rows(self, height: int) -> NDArray[np.float64]:
         """Radians of each row of an image, from the highest.

@@ -63,17 +63,8 @@ def open_camera(
     """A camera; its images alone, with a warning, where the bag does not tell what it takes.
 
     None for a topic that holds no photos. What the user says of a camera wins over the bag.
-
-    Parameters
-    ----------
-    opened : OpenedBag
-    name, topic : str
-    messages : list of Message
-        In the order of their stamps.
-    times : ndarray of int64, shape (m,)
-        Nanoseconds of each image.
-    lidar_frame : str
-        Frame of the points.
+    ``messages`` are in the order of their stamps, ``times`` nanoseconds of each image.
+    ``lidar_frame`` is that of the points.
     """
     bag, settings = opened.file, opened.settings.cameras.get(topic)
     given, file = settings or CameraSettings(), opened.settings.file

@@ -46,24 +46,12 @@ _DEFINITIONS = {
 
 
 class Message(NamedTuple):
-    """Where a message is, and what its header says.
+    """Where a message is, and what its header says."""
 
-    Attributes
-    ----------
-    recorded : int
-        Nanoseconds at which it was recorded.
-    number : int
-        Which of those of its topic that were recorded at this very time.
-    stamp : int
-        Nanoseconds of its header; 0 if it has none.
-    frame : str
-        Frame of its header, without a leading ``/``.
-    """
-
-    recorded: int
-    number: int
-    stamp: int
-    frame: str
+    recorded: int  # nanoseconds at which it was recorded
+    number: int  # which of those of its topic that were recorded at this very time
+    stamp: int  # nanoseconds of its header; 0 if it has none
+    frame: str  # frame of its header, without a leading ``/``
 
 
 class BagFile:
@@ -77,7 +65,6 @@ class BagFile:
     Attributes
     ----------
     files : list of Path
-        What the bag consists of.
     topics : dict of str
         Type of the messages of each topic.
     """

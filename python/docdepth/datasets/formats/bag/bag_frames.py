@@ -29,14 +29,10 @@ Link: TypeAlias = tuple[str, str, NDArray[np.float64]]
 class StaticFrames:
     """A graph of frames that do not move against each other.
 
-    Parameters
-    ----------
-    messages : iterable of tf2_msgs/TFMessage
-        Each transform takes points of ``child_frame_id`` to ``header.frame_id``.
-    others : callable, optional
-        Parent, child and ``T_parent_child`` (4, 4) of frames that stay still though they might
-        move. Asked for where the static transforms do not connect two frames: drivers of ROS 1
-        send those of the sensors over and over.
+    Each transform of ``messages``, of TFMessage, takes points of ``child_frame_id`` to
+    ``header.frame_id``. ``others`` gives parent, child and ``T_parent_child`` (4, 4) of frames that
+    stay still though they might move. It is asked where the static transforms do not connect two
+    frames: drivers of ROS 1 send those of the sensors over and over.
     """
 
     def __init__(
@@ -126,17 +122,9 @@ class _Edge:
 def read_transforms(
     bag: BagFile, topic: str, by_record: bool, frames: StaticFrames, start: str
 ) -> list[Trajectory | NDArray[np.float64]]:
-    """The links from the highest frame down to the frame ``start``.
+    """The links from the highest frame down to the frame ``start``, of a topic of TFMessage.
 
-    Parameters
-    ----------
-    bag : BagFile
-    topic : str
-        Of tf2_msgs/TFMessage.
-    by_record : bool
-        Times of recording count, not those of headers.
-    frames : StaticFrames
-    start : str
+    ``by_record``: times of recording count, not those of headers.
     """
     edges = _read_edges(bag, topic, by_record)
     links: list[Trajectory | NDArray[np.float64]] = []

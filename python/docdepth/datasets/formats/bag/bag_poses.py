@@ -34,15 +34,8 @@ def poses_of_topic(
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
     """Which sweeps lie within the messages of a topic, and ``T_world_lidar`` of these.
 
-    Parameters
-    ----------
-    bag : OpenedBag
-    topic : str
-        Of odometry, poses, a path, or transforms.
-    lidar_frame : str
-        Frame of the points.
-    times : ndarray of int64, shape (n,)
-        Nanoseconds of the sweeps.
+    The topic is of odometry, poses, a path, or transforms. ``lidar_frame`` is that of the points,
+    ``times`` (n,) are nanoseconds of the sweeps.
     """
     file, settings = bag.file, bag.settings
     kinds = {t: k for t, k in file.topics.items() if k in _KINDS and not t.endswith("tf_static")}

@@ -32,21 +32,12 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class BagLidar:
-    """A topic of points.
-
-    Attributes
-    ----------
-    bag : BagFile
-    stream : LidarStream
-    messages : list of Message
-        In the order of their stamps.
-    angles : ndarray of float64, shape (32, 2), optional
-        Of a Hesai's lasers, see :func:`~.ros_points.reader_of`.
-    """
+    """A topic of points."""
 
     bag: BagFile
     stream: LidarStream
-    messages: list[Message]
+    messages: list[Message]  # in the order of their stamps
+    # (32, 2): Of a Hesai's lasers, see :func:`~.ros_points.reader_of`
     angles: NDArray[np.float64] | None = None
 
     def read(self, index: int) -> Cloud:

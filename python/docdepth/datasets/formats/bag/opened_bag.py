@@ -59,21 +59,12 @@ class BagSettings(RecordingSettings):
 
 @dataclass(frozen=True)
 class OpenedBag:
-    """A bag and what is known of it.
-
-    Attributes
-    ----------
-    file : BagFile
-    settings : BagSettings
-    frames : StaticFrames
-    index : dict of list of Message
-        Messages of each topic of points and images.
-    """
+    """A bag and what is known of it."""
 
     file: BagFile
     settings: BagSettings
     frames: StaticFrames
-    index: dict[str, list[Message]]
+    index: dict[str, list[Message]]  # messages of each topic of points and images
 
     @property
     def path(self) -> Path:

@@ -119,14 +119,8 @@ def camera_of(
 ) -> tuple[Camera, NDArray[np.float64] | None, LensModel]:
     """Camera, distortion and model of a CameraInfo.
 
-    Parameters
-    ----------
-    info : sensor_msgs/CameraInfo
-    rectified : bool
-        The images are rectified: P holds their intrinsics.
-    size : (int, int), optional
-        Width and height of the images, if they are known.
-    where : str
+    ``rectified``: the images are, so P holds their intrinsics. ``size`` is width and height of the
+    images, if they are known.
     """
     K = np.asarray(info.K if hasattr(info, "K") else info.k, np.float64).reshape(3, 3)
     P = np.asarray(info.P if hasattr(info, "P") else info.p, np.float64).reshape(3, 4)

@@ -32,11 +32,8 @@ _DECODE_FIRST = {
 def reader_of(kind: str, angles: NDArray[np.float64] | None = None) -> ReadMessage | None:
     """What turns messages of a type into clouds; None for other messages.
 
-    Parameters
-    ----------
-    kind : str
-    angles : ndarray of float64, shape (32, 2), optional
-        Of a Hesai's lasers, see :func:`~.hesai.decode_packets`; as designed if left out.
+    ``angles`` (32, 2) are those of a Hesai's lasers, see :func:`~.hesai.decode_packets`; as
+    designed if left out.
     """
     if kind == POINT_CLOUD:
         return _read_point_cloud

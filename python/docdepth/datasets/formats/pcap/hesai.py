@@ -79,23 +79,11 @@ def decode_packets(
     where: str,
     angles: NDArray[np.float64] = DESIGNED,
 ) -> Cloud:
-    """The points of a revolution, in Hesai's frame: x right, y ahead, z up.
+    """The points of a revolution, see :class:`~.packet_capture.Decode`; x right, y ahead, z up.
 
     Of two equal returns of a ray one is left out. Times are those of the LiDAR's clock, counted
-    from the arrival of the first packet.
-
-    Parameters
-    ----------
-    packets : sequence of bytes
-        What follows the packet itself is ignored.
-    stamps : sequence of int
-        Nanoseconds at which they arrived.
-    stamp : int
-        Nanoseconds of the sweep.
-    where : str
-        File and frame, for messages.
-    angles : ndarray of float64, shape (32, 2)
-        Elevation and azimuth of each laser, degrees.
+    from the arrival of the first packet. ``angles`` are elevation and azimuth of each laser,
+    degrees, (32, 2). What follows a packet itself is ignored.
     """
     rows = _rows(packets, where)
     returns = int(rows["returns"][0])

@@ -28,7 +28,11 @@ _WHOLE = 0.5  # of the usual number of packets; shorter sweeps at the ends were 
 
 
 class Decode(Protocol):
-    """Makes the points of a revolution of its packets; their times are seconds after ``stamp``."""
+    """Makes the points of a revolution of its packets; their times are seconds after ``stamp``.
+
+    ``stamps`` are nanoseconds at which packets arrived, ``stamp`` those of the sweep, and ``where``
+    names file and frame.
+    """
 
     def __call__(
         self, packets: Sequence[bytes], stamps: Sequence[int], stamp: int, where: str
@@ -36,20 +40,11 @@ class Decode(Protocol):
 
 
 class Packets(NamedTuple):
-    """The packets of points of a maker.
-
-    Attributes
-    ----------
-    maker : str
-    size : int
-        Bytes; other packets are of another kind.
-    azimuth : int
-        Where the azimuth of the first block stands, hundredths of a degree in two bytes.
-    """
+    """The packets of points of a maker."""
 
     maker: str
-    size: int
-    azimuth: int
+    size: int  # bytes; other packets are of another kind
+    azimuth: int  # where the azimuth of the first block stands, hundredths of a degree in two bytes
 
 
 class PacketCapture:

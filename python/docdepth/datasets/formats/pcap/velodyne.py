@@ -27,19 +27,9 @@ def decode_packets(
     where: str,
     capture: Path | None = None,
 ) -> Cloud:
-    """The points of a revolution; their times are seconds after ``stamp``.
+    """The points of a revolution, see :class:`~.packet_capture.Decode`.
 
-    Parameters
-    ----------
-    packets : sequence of bytes
-    stamps : sequence of int
-        Nanoseconds at which they arrived.
-    stamp : int
-        Nanoseconds of the sweep.
-    where : str
-        File and frame, for messages.
-    capture : Path, optional
-        Where the calibration of an HDL-64E may be found.
+    ``capture`` is where the calibration of an HDL-64E may be found.
     """
     decoder = velodyne_decoder()
     if any(len(packet) != _KIND.size for packet in packets):
