@@ -4,36 +4,41 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
+from made_up import DRIVE, SIZE, K
 
-from docdepth.geometry.se3 import poses_from, rotation_exp
+from docdepth.geometry.se3 import inverse, poses_from, rotation_exp
 
-P = np.array([[700.0, 0, 600, 45], [0, 700, 180, 0.2], [0, 0, 1, 0.003]])
 R_RECT = rotation_exp([0.01, -0.004, 0.002])
-AXES = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])  # camera x = -lidar y, y = -z, z = x
-R_VELO = rotation_exp([0.01, 0.02, -0.01]) @ AXES
-T_VELO = np.array([0.1, -0.08, -0.27])
+BESIDE = np.array([0.06, 0.0003, 0.003])  # metres from the reference camera to the one of images
+P = np.hstack([K, (K @ BESIDE)[:, None]])
 
 
 def numbers(matrix) -> str:
-    return " ".join(f"{value:.12e}" for value in np.ravel(matrix))
+    return " ".join(f"{value:.15e}" for value in np.ravel(matrix))
 
 
-def write_sweeps(folder: Path, count: int, digits: int) -> list[np.ndarray]:
+def moved(rotation: np.ndarray, translation=(0, 0, 0)) -> np.ndarray:
+    return poses_from([rotation], [translation])[0]
+
+
+def T_camera0_lidar(rectified: bool) -> np.ndarray:
+    """Of the reference camera, rectified or not, so that the camera of images is the drive's."""
+    T = inverse(moved(np.eye(3), BESIDE)) @ DRIVE.T_camera_lidar
+    return T if rectified else inverse(moved(R_RECT)) @ T
+
+
+def date(time: int) -> str:
+    return f"{np.datetime64(int(time), 'ns')}\n".replace("T", " ")
+
+
+def write_velodyne(folder: Path, digits: int) -> Path:
+    """The sweeps, and the folder."""
     folder.mkdir(parents=True)
-    rng = np.random.default_rng(0)
-    sweeps = [rng.normal(0, 10, (50 + k, 4)).astype("<f4") for k in range(count)]
-    for k, sweep in enumerate(sweeps):
-        sweep.tofile(folder / f"{k:0{digits}d}.bin")
-    return sweeps
+    for k in range(DRIVE.count):
+        table = np.column_stack([DRIVE.points(k), DRIVE.rows(k)["intensity"]]).astype("<f4")
+        table.tofile(folder / f"{k:0{digits}d}.bin")
+    return folder
 
 
-def write_image(file: Path, width: int = 1242, height: int = 375) -> None:
-    file.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(file), np.zeros((height, width), np.uint8))
-
-
-def some_poses(count: int) -> np.ndarray:
-    vectors = np.linspace([0, 0, 0], [0.02, -0.01, 0.3], count)
-    return poses_from(list(rotation_exp(vectors)), np.linspace([0, 0, 0], [5, 1, 0.2], count))
+S_RECT = f"S_rect_02: {SIZE[0]}.0 {SIZE[1]}.0\n"

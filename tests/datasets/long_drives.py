@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from kitti_drives import R_RECT, numbers
+from kitti_drives import R_RECT, date, moved, numbers, write_velodyne
 from made_up import DRIVE, SIZE, K
 from old_pandas import write_table
 from vehicles import microseconds
@@ -23,22 +24,13 @@ R_RECT_01 = rotation_exp([-0.006, 0.003, 0.01])
 SEQUENCE = "2013_05_28_drive_0003_sync"
 
 
-def rectified(rotation: np.ndarray) -> np.ndarray:
-    """The rectification of a camera as a pose."""
-    return poses_from([rotation], [[0, 0, 0]])[0]
-
-
-def date(time: int) -> str:
-    return f"{np.datetime64(int(time), 'ns')}\n".replace("T", " ")
-
-
 # ---- KITTI-360
 
 
 def kitti_360_calibration(folder: Path) -> None:
     """Camera 00 is that of the drive, once it is rectified; camera 01 sits to its right."""
     folder.mkdir(parents=True)
-    T_lidar_camera0 = inverse(inverse(rectified(R_RECT)) @ DRIVE.T_camera_lidar)
+    T_lidar_camera0 = inverse(inverse(moved(R_RECT)) @ DRIVE.T_camera_lidar)
     T_imu_camera1 = T_IMU_CAMERA0 @ poses_from([np.eye(3)], [[0.6, 0.01, -0.02]])[0]
     (folder / "calib_cam_to_velo.txt").write_text(numbers(T_lidar_camera0[:3]) + "\n")
     (folder / "calib_cam_to_pose.txt").write_text(
@@ -57,7 +49,7 @@ def kitti_360_poses(folder: Path, frames: list[int]) -> None:
     """poses.txt of the IMU and cam0_to_world.txt of the rectified camera, of some frames."""
     folder.mkdir(parents=True, exist_ok=True)
     T_camera_lidar = DRIVE.T_camera_lidar
-    T_imu_lidar = T_IMU_CAMERA0 @ inverse(rectified(R_RECT)) @ T_camera_lidar
+    T_imu_lidar = T_IMU_CAMERA0 @ inverse(moved(R_RECT)) @ T_camera_lidar
     imu = [f"{k} {numbers((DRIVE.poses[k] @ inverse(T_imu_lidar))[:3])} \n" for k in frames]
     camera = [f"{k} {numbers(DRIVE.poses[k] @ inverse(T_camera_lidar))} \n" for k in frames]
     (folder / "poses.txt").write_text("".join(imu))
@@ -67,17 +59,14 @@ def kitti_360_poses(folder: Path, frames: list[int]) -> None:
 @writes("KITTI-360", "kitti_360")
 def write_kitti_360(root: Path) -> Written:
     root = root / "KITTI-360"
-    velodyne = root / "data_3d_raw" / SEQUENCE / "velodyne_points"
-    (velodyne / "data").mkdir(parents=True)
-    for k in range(DRIVE.count):
-        table = np.column_stack([DRIVE.points(k), DRIVE.rows(k)["intensity"]]).astype("<f4")
-        table.tofile(velodyne / "data" / f"{k:010d}.bin")
-    (velodyne / "timestamps.txt").write_text("".join(date(t) for t in DRIVE.times))
+    data = write_velodyne(root / "data_3d_raw" / SEQUENCE / "velodyne_points" / "data", 10)
+    velodyne = data.parent
+    (velodyne / "timestamps.txt").write_text("".join(map(date, DRIVE.times)))
     images = root / "data_2d_raw" / SEQUENCE / "image_00"
     (images / "data_rect").mkdir(parents=True)
     for k in range(DRIVE.images_count):
         cv2.imwrite(str(images / "data_rect" / f"{k:010d}.png"), DRIVE.image(k))
-    (images / "timestamps.txt").write_text("".join(date(t) for t in DRIVE.image_times))
+    (images / "timestamps.txt").write_text("".join(map(date, DRIVE.image_times)))
     kitti_360_calibration(root / "calibration")
     kitti_360_poses(root / "data_poses" / SEQUENCE, list(range(DRIVE.count)))
     file = velodyne / "data" / "0000000002.bin"
@@ -175,14 +164,14 @@ def write_nclt(root: Path) -> Written:
 # ---- HeLiPR
 
 
-def _helipr(root: Path, name: str, columns, has: set[str]) -> Written:
+def _helipr(root: Path, name: str, has: set[str]) -> Written:
     sequence = root / "KAIST05"
     folder = sequence / "LiDAR" / name
     folder.mkdir(parents=True)
     for k, time in enumerate(DRIVE.times.tolist()):
         rows = DRIVE.rows(k)
         points = {axis: ("f4", rows[axis]) for axis in "xyz"}
-        pack(folder / f"{time}.bin", **points, **columns(k, rows))
+        pack(folder / f"{time}.bin", **points, **_columns(name, k, rows))
     lines = []
     for time, T in zip(DRIVE.times.tolist(), DRIVE.poses, strict=True):
         values = [*T[:3, 3], *matrix_to_quaternion(T[:3, :3])]
@@ -193,48 +182,27 @@ def _helipr(root: Path, name: str, columns, has: set[str]) -> Written:
     return Written(folder, lambda: truncate(file), has)
 
 
-def _nanoseconds(k: int) -> np.ndarray:
-    return np.round((DRIVE.rows(k)["share"].astype("f8") + 0.5) * DRIVE.period)
+def _columns(name: str, k: int, rows: np.ndarray) -> dict:
+    """Behind x, y and z; Aeva's as sessions after August 2023 have it, with one number more."""
+    bright, ring, share = rows["intensity"], rows["ring"], rows["share"]
+    since_start = np.round((share.astype("f8") + 0.5) * DRIVE.period)
+    return {
+        "Ouster": {"intensity": ("f4", bright), "t": ("u4", since_start),
+                   "reflectivity": ("u2", ring + 500), "ring": ("u2", ring),
+                   "ambient": ("u2", ring + 7)},
+        "Velodyne": {"intensity": ("f4", bright), "ring": ("u2", ring),
+                     "time": ("f4", DRIVE.seconds(k))},
+        "Avia": {"reflectivity": ("u1", bright), "tag": ("u1", ring + 16), "line": ("u1", ring),
+                 "offset_time": ("u4", since_start)},
+        "Aeva": {"reflectivity": ("f4", bright), "velocity": ("f4", share),
+                 "time_offset_ns": ("i4", since_start - DRIVE.period // 2),
+                 "line_index": ("u1", ring), "intensity": ("f4", share)},
+    }[name]  # fmt: skip
 
 
-@writes("HeLiPR, Ouster", "helipr")
-def write_helipr_ouster(root: Path) -> Written:
-    def columns(k: int, rows: np.ndarray) -> dict:
-        return {"intensity": ("f4", rows["intensity"]), "t": ("u4", _nanoseconds(k)),
-                "reflectivity": ("u2", rows["ring"] + 500), "ring": ("u2", rows["ring"]),
-                "ambient": ("u2", rows["ring"] + 7)}  # fmt: skip
-
-    return _helipr(root, "Ouster", columns, {"intensity", "ring", "poses"})
-
-
-@writes("HeLiPR, Velodyne", "helipr")
-def write_helipr_velodyne(root: Path) -> Written:
-    def columns(k: int, rows: np.ndarray) -> dict:
-        return {"intensity": ("f4", rows["intensity"]), "ring": ("u2", rows["ring"]),
-                "time": ("f4", DRIVE.seconds(k))}  # fmt: skip
-
-    return _helipr(root, "Velodyne", columns, {"intensity", "ring", "times", "poses"})
-
-
-@writes("HeLiPR, Avia", "helipr")
-def write_helipr_avia(root: Path) -> Written:
-    def columns(k: int, rows: np.ndarray) -> dict:
-        return {"reflectivity": ("u1", rows["intensity"]), "tag": ("u1", rows["ring"] + 16),
-                "line": ("u1", rows["ring"]), "offset_time": ("u4", _nanoseconds(k))}  # fmt: skip
-
-    return _helipr(root, "Avia", columns, {"intensity", "ring", "poses"})
-
-
-@writes("HeLiPR, Aeva", "helipr")
-def write_helipr_aeva(root: Path) -> Written:
-    """As sessions after August 2023 have it, with one number more."""
-
-    def columns(k: int, rows: np.ndarray) -> dict:
-        return {"reflectivity": ("f4", rows["intensity"]), "velocity": ("f4", rows["share"]),
-                "time_offset_ns": ("i4", _nanoseconds(k) - DRIVE.period // 2),
-                "line_index": ("u1", rows["ring"]), "intensity": ("f4", rows["share"])}  # fmt: skip
-
-    return _helipr(root, "Aeva", columns, {"intensity", "ring", "times", "poses"})
+for _name, _times in (("Ouster", False), ("Velodyne", True), ("Avia", False), ("Aeva", True)):
+    _has = {"intensity", "ring", "poses"} | ({"times"} if _times else set())
+    writes(f"HeLiPR, {_name}", "helipr")(partial(_helipr, name=_name, has=_has))
 
 
 # ---- Boreas
@@ -246,8 +214,8 @@ def write_boreas(root: Path) -> Written:
     sequence = root / "boreas-2021-08-05-13-34"
     for folder in ("lidar", "camera", "calib", "applanix"):
         (sequence / folder).mkdir(parents=True)
-    T_ours_theirs = rectified(rotation_exp([0.002, -0.001, -0.82]))
-    T_applanix_ours = rectified(rotation_exp([0, 0, np.pi / 2]))
+    T_ours_theirs = moved(rotation_exp([0.002, -0.001, -0.82]))
+    T_applanix_ours = moved(rotation_exp([0, 0, np.pi / 2]))
     lines = ["GPSTime,easting,northing,altitude,vel_east,vel_north,vel_up,roll,pitch,heading,"
              "angvel_z,angvel_y,angvel_x"]  # fmt: skip
     for k, time in enumerate(DRIVE.times.tolist()):

@@ -205,5 +205,5 @@ def test_sweeps_are_in_the_order_of_their_numbers(copy: Path) -> None:
 
 def test_a_copy_among_numbered_sweeps_is_named(copy: Path) -> None:
     shutil.copy(copy / "velodyne" / "000001.bin", copy / "velodyne" / "000001 (1).bin")
-    with pytest.raises(SeveralProblems, match=r"none for 000001 \(1\)\.bin \(frame 2\)"):
+    with pytest.raises(DatasetError, match=r"none for 000001 \(1\)\.bin \(frame 2\)"):
         open_dataset(copy)

@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 from conformance import check
 from formats import WRITERS
-from kitti_drives import R_RECT, numbers
+from kitti_drives import R_RECT, date, moved, numbers
 from long_drives import (
     R_RECT_01,
     SEQUENCE,
     T_IMU_CAMERA0,
-    date,
-    rectified,
 )
 from made_up import DRIVE, K
 
@@ -65,7 +63,7 @@ def test_the_right_camera_of_kitti_360(kitti_360: Path) -> None:
     from_left = inverse(cameras["image_00"].T_camera_lidar)
     shift = np.eye(4)
     shift[:3, 3] = -0.6, -0.01, 0.02
-    expected = rectified(R_RECT_01) @ shift @ inverse(rectified(R_RECT))
+    expected = moved(R_RECT_01) @ shift @ inverse(moved(R_RECT))
     np.testing.assert_allclose(cameras["image_01"].T_camera_lidar @ from_left, expected, atol=1e-9)
     assert cameras["image_01"].images == []
     np.testing.assert_array_equal(cameras["image_01"].times, DRIVE.times)
@@ -95,7 +93,7 @@ projection_parameters:
 def write_fisheye(root: Path) -> np.ndarray:
     """Camera 02, which looks ahead here, and images whose colours tell their pixels."""
     (root / "calibration" / "image_02.yaml").write_text(MEI)
-    T_camera = T_IMU_CAMERA0 @ inverse(rectified(R_RECT))  # as the rectified camera 00
+    T_camera = T_IMU_CAMERA0 @ inverse(moved(R_RECT))  # as the rectified camera 00
     file = root / "calibration" / "calib_cam_to_pose.txt"
     lines = [line for line in file.read_text().splitlines() if not line.startswith("image_02")]
     file.write_text("\n".join([*lines, f"image_02: {numbers(T_camera[:3])}"]) + "\n")

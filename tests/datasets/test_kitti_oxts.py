@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conformance import check
-from kitti_drives import numbers, some_poses
+from kitti_drives import date, numbers
+from made_up import DRIVE
+from writers import WRITERS
 
 from docdepth.datasets import FrameRange, open_dataset
 from docdepth.errors import CalibrationError, DatasetError
@@ -26,8 +28,7 @@ def write_oxts(drive: Path, stamps: np.ndarray, T_world_imu: np.ndarray) -> None
     )
     data = drive / "oxts" / "data"
     data.mkdir(parents=True)
-    lines = [str(np.datetime64(int(t), "ns")).replace("T", " ") for t in stamps]
-    (data.parent / "timestamps.txt").write_text("\n".join(lines) + "\n")
+    (data.parent / "timestamps.txt").write_text("".join(map(date, stamps)))
     radius = 6378137
     scale = np.cos(LATITUDE * pi / 180)
     north0 = scale * radius * np.log(np.tan((90 + LATITUDE) * pi / 360))
@@ -40,9 +41,14 @@ def write_oxts(drive: Path, stamps: np.ndarray, T_world_imu: np.ndarray) -> None
         (data / f"{k:010d}.txt").write_text(" ".join(f"{number:.17g}" for number in row) + "\n")
 
 
+@pytest.fixture
+def raw(tmp_path: Path) -> Path:
+    return WRITERS["kitti_raw"][1](tmp_path).path
+
+
 def test_poses_at_the_sweeps(raw):
     """Packets at the stamps of the sweeps give their poses, relative to the first."""
-    truth, stamps = some_poses(4), open_dataset(raw).times
+    truth, stamps = DRIVE.poses, open_dataset(raw).times
     write_oxts(raw, stamps, truth)
     dataset = open_dataset(raw)
     check(dataset, "kitti_raw")
@@ -72,15 +78,15 @@ def test_packets_have_their_own_times(raw):
 def test_packets_that_end_early(raw, caplog):
     """Sweeps more than a sweep and a half behind the last packet have no pose."""
     stamps = open_dataset(raw).times
-    write_oxts(raw, stamps[:2], some_poses(2))
+    write_oxts(raw, stamps[:2], DRIVE.poses[:2])
     dataset = open_dataset(raw)
     assert dataset.poses is None
-    assert "1 of 4 sweeps have no pose" in caplog.text
+    assert "2 of 5 sweeps have no pose" in caplog.text
     assert FrameRange(dataset, "0:3").poses is not None
 
 
 def test_a_drive_without_the_place_of_the_imu(raw, caplog):
-    write_oxts(raw, open_dataset(raw).times, some_poses(4))
+    write_oxts(raw, open_dataset(raw).times, DRIVE.poses)
     (raw.parent / "calib_imu_to_velo.txt").unlink()
     assert open_dataset(raw).poses is None
     assert "calib_imu_to_velo.txt is not there; unpack the 'calibration' archive" in caplog.text
@@ -88,7 +94,7 @@ def test_a_drive_without_the_place_of_the_imu(raw, caplog):
 
 def test_damaged_packets(raw):
     """They stop nobody who does not want the poses."""
-    write_oxts(raw, open_dataset(raw).times, some_poses(4))
+    write_oxts(raw, open_dataset(raw).times, DRIVE.poses)
     file = raw / "oxts" / "data" / "0000000002.txt"
     for text in ("49.0 8.4", "49.0 8.4 x 0 0 0", "490 8.4 112 0 0 0"):
         file.write_text(text)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import yaml
-from kitti_drives import numbers
-from made_up import DISTORTION, DRIVE, SIZE, K
+from kitti_drives import R_RECT, S_RECT, P, T_camera0_lidar, date, numbers, write_velodyne
+from made_up import DISTORTION, DRIVE, K
 
 from docdepth.io.poses import write_kitti
 
@@ -93,12 +94,11 @@ def write_images(folder: Path) -> list[Path]:
 @writes("kitti_odometry", "kitti_odometry")
 def _odometry(root: Path, labels: bool = False) -> Written:
     sequence = root / "sequences" / "03"
-    for folder in ("velodyne", "point_times", *(["labels"] if labels else [])):
-        (sequence / folder).mkdir(parents=True)
+    velodyne = write_velodyne(sequence / "velodyne", 6)
+    for folder in ("point_times", *(["labels"] if labels else [])):
+        (sequence / folder).mkdir()
     for k in range(DRIVE.count):
         rows = DRIVE.rows(k)
-        table = np.column_stack([DRIVE.points(k), rows["intensity"]]).astype("<f4")
-        table.tofile(sequence / "velodyne" / f"{k:06d}.bin")
         rows["share"].tofile(sequence / "point_times" / f"{k:06d}.bin")
         if labels:
             np.full(len(rows), 9, "<u4").tofile(sequence / "labels" / f"{k:06d}.label")
@@ -107,11 +107,13 @@ def _odometry(root: Path, labels: bool = False) -> Written:
     write_images(sequence / "image_2")
     (sequence / "image_2" / "times.txt").write_text(seconds(DRIVE.image_times))
     (sequence / "image_2" / "distortion.txt").write_text(numbers(DISTORTION))
-    T, P = DRIVE.T_camera_lidar, np.hstack([K, np.zeros((3, 1))])
+    T = T_camera0_lidar(rectified=True)
     (sequence / "calib.txt").write_text(f"P2: {numbers(P)}\nTr: {numbers(T[:3])}\n")
-    write_kitti(sequence / "poses.txt", T @ DRIVE.poses @ np.linalg.inv(T))
-    kept = {"intensity", "times", "camera"}
-    return Written(sequence, lambda: truncate(sequence / "velodyne" / "000002.bin"), kept)
+    poses = root / "poses" / "03.txt" if labels else sequence / "poses.txt"
+    poses.parent.mkdir(exist_ok=True)
+    write_kitti(poses, T @ DRIVE.poses @ np.linalg.inv(T))
+    kept = {"intensity", "times", "camera", "poses"}
+    return Written(sequence, lambda: truncate(velodyne / "000002.bin"), kept)
 
 
 @writes("semantic_kitti", "semantic_kitti")
@@ -122,22 +124,21 @@ def _semantic(root: Path) -> Written:
 @writes("kitti_raw", "kitti_raw")
 def _raw(root: Path) -> Written:
     drive = root / "2011_09_26" / "2011_09_26_drive_0001_sync"
-    data = drive / "velodyne_points" / "data"
-    data.mkdir(parents=True)
-    for k in range(DRIVE.count):
-        table = np.column_stack([DRIVE.points(k), DRIVE.rows(k)["intensity"]]).astype("<f4")
-        table.tofile(data / f"{k:010d}.bin")
-    lines = "".join(f"{np.datetime64(int(t), 'ns')}\n".replace("T", " ") for t in DRIVE.times)
-    (data.parent / "timestamps.txt").write_text(lines)
-    T, P = DRIVE.T_camera_lidar, np.hstack([K, np.zeros((3, 1))])
+    data = write_velodyne(drive / "velodyne_points" / "data", 10)
+    (data.parent / "timestamps.txt").write_text("".join(map(date, DRIVE.times)))
+    images = drive / "image_02"
+    write_images(images / "data")
+    (images / "timestamps.txt").write_text("".join(map(date, DRIVE.image_times)))
     (drive.parent / "calib_cam_to_cam.txt").write_text(
-        f"S_rect_02: {SIZE[0]} {SIZE[1]}\n"
-        f"R_rect_00: {numbers(np.eye(3))}\nP_rect_02: {numbers(P)}\n"
+        f"calib_time: 09-Jan-2012 13:57:47\ncorner_dist: 9.950000e-02\n{S_RECT}"
+        f"R_rect_00: {numbers(R_RECT)}\nP_rect_02: {numbers(P)}\n"
     )
+    T = T_camera0_lidar(rectified=False)
     (drive.parent / "calib_velo_to_cam.txt").write_text(
-        f"R: {numbers(T[:3, :3])}\nT: {numbers(T[:3, 3])}\n"
+        f"calib_time: 15-Mar-2012 11:37:16\nR: {numbers(T[:3, :3])}\nT: {numbers(T[:3, 3])}\n"
     )
-    return Written(drive, lambda: truncate(data / "0000000002.bin"), {"intensity"})
+    file, kept = data / "0000000002.bin", {"intensity", "camera"}
+    return Written(drive, lambda: truncate(file), kept, lens=False)
 
 
 @writes("run", "run")
@@ -222,8 +223,7 @@ def _compressed(root: Path) -> Written:
 
 @writes("folder of ascii pcd", "folder")
 def _ascii(root: Path) -> Written:
-    written = _pcd(root, "ascii")
-    return Written(written.path, written.damage, written.has, tolerance=1e-5)
+    return replace(_pcd(root, "ascii"), tolerance=1e-5)
 
 
 @writes("folder of ply", "folder")
@@ -351,19 +351,12 @@ def _bag(root: Path, kind: str, name: str) -> Written:
     return Written(path, damage, {"intensity", "ring", "times", "camera"})
 
 
-@writes("ROS 1 bag", "bag")
-def _ros1(root: Path) -> Written:
-    return _bag(root, "ros1", "drive.bag")
-
-
-@writes("ROS 2 bag", "bag")
-def _ros2(root: Path) -> Written:
-    return _bag(root, "db3", "drive")
-
-
-@writes("MCAP", "bag")
-def _mcap(root: Path) -> Written:
-    return _bag(root, "mcap", "drive")
+for _name, _kind, _file in (
+    ("ROS 1 bag", "ros1", "drive.bag"),
+    ("ROS 2 bag", "db3", "drive"),
+    ("MCAP", "mcap", "drive"),
+):
+    writes(_name, "bag")(partial(_bag, kind=_kind, name=_file))
 
 
 @writes("a lone MCAP file", "bag")
