@@ -6,12 +6,11 @@ from dynamics_reference import reference_moving
 from things import with_options
 
 from docdepth.config import parameters
-from docdepth.dynamics import key_frames, voting
+from docdepth.dynamics import voting
 from docdepth.dynamics.classes import classify, confidence
 from docdepth.dynamics.classifier import classify_drive
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
-from docdepth.geometry.trajectory import Trajectory
 
 PAPER, DEFAULT = parameters("paper"), parameters("default")
 BY_POINTS = parameters(settings={"dynamics.evidence": "points"}).dynamics
@@ -202,27 +201,3 @@ def test_confidence_of_points_grows_with_agreement():
     assert found.dtype == np.float32
     with pytest.raises(InputError, match="differ in shape"):
         confidence(Votes(static, dynamic[:-1]))
-
-
-@pytest.mark.slow
-def test_sure_points_are_wrong_less_often(monkeypatch):
-    """A crossing seen by few beams: the higher the confidence, the fewer points are wrong."""
-    pytest.importorskip("embreex")
-    from docdepth.synthetic import Drive, scene, sensor
-
-    drive = Drive(scene("crossing", 3), sensor("VLP-16"), 14, 3)
-    truth = [drive.sweep(k) for k in range(len(drive))]
-    trajectory = Trajectory(drive.times, drive.poses)
-    monkeypatch.setattr(key_frames, "END_SPACING", 0.2)  # few sweeps, many votes
-    monkeypatch.setattr(key_frames, "END_RADIUS", 1.0)
-    often = parameters(settings={"dynamics.time_spacing": 1.0})
-    labels = classify_drive([s.points for s in truth], trajectory, often)
-    sure = np.concatenate([confidence(one.votes) for one in labels])
-    moving = np.concatenate([s.speed > 0.5 for s in truth])
-    says = np.concatenate([one.votes.dynamic > one.votes.static for one in labels])
-    wrong = [
-        (says != moving)[(low <= sure) & (sure < high)].mean()
-        for low, high in ((0.01, 0.3), (0.3, 0.6), (0.6, 0.8), (0.8, 1.01))
-    ]
-    assert wrong == sorted(wrong, reverse=True), wrong
-    assert wrong[-1] < 0.01

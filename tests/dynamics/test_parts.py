@@ -1,6 +1,5 @@
 """Which tracks a drive has: one for each thing that moves, whatever pieces it is seen in."""
 
-import numpy as np
 import pytest
 from test_tracking import CAR, Thing, detections_of, passes, straight, tracked, tracking_of
 
@@ -84,12 +83,6 @@ def test_a_car_that_is_passed_closely_is_no_part_of_the_lorry():
     assert of_lorry == {1}
     assert of_car
     assert not of_lorry & of_car
-
-
-def test_what_does_not_move_has_no_track():
-    rng = np.random.default_rng(1)
-    bush = Thing((1.2, 1.2, 1.2), lambda i: (6 + rng.normal(0, 0.1), 3), range(0, COUNT, 2))
-    assert tracks_of([bush])[0] == []
 
 
 def test_where_a_car_stands_is_told_by_the_sweeps_that_saw_it_creep_there():

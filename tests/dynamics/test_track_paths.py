@@ -14,6 +14,7 @@ from things import (
     ranges_of,
     straight,
     tracking_of,
+    tracks_of,
     waits,
 )
 
@@ -28,8 +29,7 @@ def test_a_pedestrian_whose_legs_vanish_behind_a_hedge_stays_upright():
         return points[:, 2] > -0.8 + min(0.03 * i, 0.6)
 
     walker = Thing(PERSON, lambda i: (6 + 0.15 * i, 3), range(40), seen=above)
-    detections, _ = detections_of([walker], 40)
-    (track,) = tracking_of(detections, straight(40)).tracks
+    (track,) = tracks_of([walker], 40)
     np.testing.assert_array_equal(track.poses[:, :3, 2], [[0, 0, 1]] * len(track))
 
 
@@ -252,8 +252,7 @@ def test_where_a_sweep_shows_little_the_sweeps_around_tell_where_the_surface_is(
         return (i != 20) | (np.arange(len(points)) % 20 == 0)
 
     car = Thing(CAR, lambda i: (8 + 1.2 * i, 4), range(40), seen=every_twentieth_once)
-    detections, _ = detections_of([car], 40)
-    (track,) = tracking_of(detections, straight(40)).tracks
+    (track,) = tracks_of([car], 40)
     row = int(np.flatnonzero(track.times == 2_000_000_000)[0])
     assert track.points[row] < 12
     around = min(track.surface_deviations[[row - 1, row + 1]])

@@ -19,6 +19,7 @@ from things import (
     straight,
     tracked,
     tracking_of,
+    tracks_of,
     waits,
 )
 from tracks_reference import dynamic_voxels as reference_voxels
@@ -220,8 +221,7 @@ def test_a_track_does_not_go_on_with_a_bush_that_stood_there_all_along(place, hi
     """A walker disappears about a metre before it; it may be hidden for a while, too."""
     walker = Thing(PERSON, lambda i: (8 + 0.12 * i, 3) if i < 20 else None, range(20))
     bush = Thing((0.8, 0.6, 1.5), lambda i: None if 20 <= i < 20 + hidden else place)
-    detections, _ = detections_of([walker, bush], 45)
-    (track,) = tracking_of(detections, straight(45)).tracks
+    (track,) = tracks_of([walker, bush], 45)
     assert len(track) == 20
 
 
@@ -229,8 +229,7 @@ def test_a_car_seen_once_does_not_go_on_as_one_that_comes_into_view_later():
     """It could be there after 0.8 s, at 6 m/s."""
     first = Thing(CAR, lambda i: (10, 8) if i == 2 else None, [2])
     later = Thing(CAR, lambda i: (12 + 0.8 * (i - 10), 4) if i >= 10 else None, range(10, 30))
-    detections, _ = detections_of([first, later], 30)
-    (track,) = tracking_of(detections, straight(30)).tracks
+    (track,) = tracks_of([first, later], 30)
     assert track.times[0] == 10 * 100_000_000
 
 
@@ -335,8 +334,7 @@ def test_of_a_lorry_a_rosette_is_enough_to_know_its_side(seed):
     poses[:, 2, 3] = 3  # so high that its beams meet all of the lorry
     drive = Trajectory(level.times, poses)
     lorry = Thing(LORRY, lambda i: (1.6 * i - 25, 10, 1.9), range(40), rosette(seed, LORRY, 0.5))
-    detections, _ = detections_of([lorry], 40, seed, drive=drive)
-    (track,) = tracking_of(detections, drive).tracks
+    (track,) = tracks_of([lorry], 40, drive=drive, seed=seed)
     assert len(track) >= 39
     assert np.ptp(track.poses[:, 1, 3]) < 0.03
     # It leaves; how far it is along its side is known worse and worse, but not where its side is.
@@ -356,8 +354,7 @@ def test_a_lorry_is_tracked_though_every_other_sweep_sees_its_lower_part_only():
         range(20, 40),
         seen=lambda i, points: points[:, 2] < (1.7 if i % 2 else 0.9),
     )
-    detections, _ = detections_of([lorry], 40, drive=drive)
-    (track,) = tracking_of(detections, drive).tracks
+    (track,) = tracks_of([lorry], 40, drive=drive)
     assert len(track) == 40
 
 

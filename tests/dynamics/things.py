@@ -167,6 +167,12 @@ def tracking_of(detections, trajectory, threads=0):
     return Tracking(sweeps, tracks)
 
 
+def tracks_of(things, count, drive=None, **more):
+    """The tracks of some things."""
+    detections, _ = detections_of(things, count, drive=drive, **more)
+    return tracking_of(detections, drive or straight(count)).tracks
+
+
 def tracked(things, count, **more):
     """For each thing the sweeps in which only tracks make it dynamic."""
     detections, rows = detections_of(things, count, **more)

@@ -208,25 +208,6 @@ def test_each_lidar_votes_from_its_own_place(vote_model):
 
 
 @pytest.mark.nightly
-def test_votes_are_those_of_both_apart(two):
-    dataset = open_dataset(two)
-    sweep, other = dataset.sweep(2), dataset.sweep(6)
-    ground = np.zeros(len(other.points), bool)
-    together = voting.KeyFrame(other.points, ground, sensor_rig=other.sensor_rig)
-    apart, poses = [], []
-    for seen, T_lidar_sensor, _ in lidar_views(other.points, other.sensor_rig):
-        own = np.isfinite(seen).all(axis=1)
-        apart.append(voting.KeyFrame(seen[own], ground[own]))
-        poses.append(dataset.poses[6] @ T_lidar_sensor)
-    asked = (sweep.points, np.zeros(len(sweep.points), bool), dataset.poses[2])
-    votes = voting.vote(*asked, [together], dataset.poses[6:7])
-    expected = voting.vote(*asked, apart, np.array(poses))
-    assert votes.dynamic.any()
-    np.testing.assert_array_equal(votes.static, expected.static)
-    np.testing.assert_array_equal(votes.dynamic, expected.dynamic)
-
-
-@pytest.mark.nightly
 def test_a_run_of_both(two, tmp_path):
     """As if one LiDAR had measured all, fewer pixels of a map are right."""
     dataset, blind = open_dataset(two), open_dataset(two)

@@ -217,22 +217,6 @@ def test_random_trajectories_agree_with_plain_loops_bit_for_bit(seed: int) -> No
     assert trajectory.arc_length_at(asked).tobytes() == expected.tobytes()
 
 
-def test_arc_length_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    trajectory = straight([0.0, 1.0, 3.0, 6.0])
-    arc = trajectory.arc_length
-    computed = []
-    norm = np.linalg.norm
-    monkeypatch.setattr(np.linalg, "norm", lambda *a, **k: computed.append(a) or norm(*a, **k))
-    assert trajectory.arc_length is arc
-    trajectory.arc_length_at([0, 10**8])
-    trajectory.subsample(1.0)
-    assert not computed
-    with pytest.raises(ValueError, match="read-only"):
-        arc[0] = 1.0
-    assert Trajectory(trajectory.times[1:], trajectory.poses[1:]).arc_length.tolist() == [0, 2, 5]
-    assert computed
-
-
 # ---- refused
 
 

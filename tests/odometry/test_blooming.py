@@ -8,12 +8,11 @@ import scenes  # noqa: F401  adds its scenes
 
 from docdepth.config import parameters
 from docdepth.datasets import open_dataset
-from docdepth.errors import ConfigError, InputError
+from docdepth.errors import ConfigError
 from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.blooming import blooming_points
 from docdepth.pipeline import run_classify, run_odometry
-from docdepth.synthetic import Drive, scene, write_drive
-from docdepth.synthetic.sensors import sensor
+from docdepth.synthetic import write_drive
 
 BLOOMING_DEG = 0.8
 
@@ -75,27 +74,6 @@ def test_scales_of_intensity(scale):
     assert ghost[names == "halo"].mean() > 0.9
     assert not ghost[names != "halo"].any()
     assert not blooming_points(points, np.minimum(intensity, 0.5) * scale, BLOOMING_DEG).any()
-
-
-def test_shapes_are_checked():
-    with pytest.raises(InputError, match="differ"):
-        blooming_points(np.zeros((3, 3), np.float32), np.zeros(2, np.float32), BLOOMING_DEG)
-
-
-@pytest.mark.slow
-def test_ghost_returns_of_a_sensor_are_found():
-    lidar = replace(sensor("OS1-128"), blooming=np.radians(BLOOMING_DEG))
-    drive = Drive(scene("highway", 5), lidar, 10)
-    made = found = taken = points = 0
-    for k in range(0, 10, 3):
-        sweep = drive.sweep(k)
-        ghost = blooming_points(sweep.points, sweep.intensity, BLOOMING_DEG)
-        truth = sweep.labels & 0xFFFF == 1
-        made, found = made + truth.sum(), found + (truth & ghost).sum()
-        taken, points = taken + (ghost & ~truth).sum(), points + len(truth)
-    assert made > 50
-    assert found > 0.7 * made
-    assert taken < 0.002 * points
 
 
 def test_ghost_returns_take_no_part_in_a_run(tmp_path):

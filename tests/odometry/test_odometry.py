@@ -23,11 +23,18 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.deskewing import centred_motion, deskew
 from docdepth.odometry.odometry import estimate_poses, register_drive
 from docdepth.odometry.pose_checks import find_misfit
-from docdepth.odometry.sweeps import ThinnedSweeps
 from docdepth.pipeline import run_odometry
 from exact_drive import MOTION, Drive, pose_errors
 
 # ---- deskewing
+
+
+def generator_of(rotation, velocity) -> np.ndarray:
+    """The matrix (4, 4) of a twist."""
+    x, y, z = rotation
+    return np.array([[0, -z, y, 0], [z, 0, -x, 0], [-y, x, 0, 0], [0] * 4]) + np.pad(
+        np.array(velocity)[:, None], ((0, 1), (3, 0))
+    )
 
 
 @pytest.mark.parametrize(
@@ -37,13 +44,7 @@ def test_deskew_is_the_matrix_exponential(rotation: list[float]) -> None:
     rng = np.random.default_rng(0)
     points = rng.uniform(-60, 60, (200, 3)).astype(np.float32)
     relative_time = rng.uniform(-0.5, 1.0, 200).astype(np.float32)
-    generator = np.zeros((4, 4))
-    generator[:3, :3] = [
-        [0, -rotation[2], rotation[1]],
-        [rotation[2], 0, -rotation[0]],
-        [-rotation[1], rotation[0], 0],
-    ]
-    generator[:3, 3] = (1.3, -0.2, 0.1)
+    generator = generator_of(rotation, (1.3, -0.2, 0.1))
     expected = [
         (expm(float(f) * generator) @ np.append(p.astype(np.float64), 1))[:3]
         for p, f in zip(points, relative_time, strict=True)
@@ -51,22 +52,6 @@ def test_deskew_is_the_matrix_exponential(rotation: list[float]) -> None:
     result = deskew(points, relative_time, expm(generator))
     assert result.dtype == np.float32
     np.testing.assert_allclose(result, expected, atol=3e-5)
-
-
-def test_deskewed_points_lie_on_the_surfaces() -> None:
-    drive = Drive(2)
-    sweep = drive.sweep(1)
-    usable = np.linalg.norm(sweep.points, axis=1) > 0.5
-    pose = drive.exact[1]
-
-    def off(points: np.ndarray) -> np.ndarray:
-        world = points[usable].astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
-        return drive.street.distance(world)
-
-    assert np.percentile(off(sweep.points), 90) > 0.1
-    assert off(deskew(sweep.points, sweep.relative_time, MOTION)).max() < 1e-3
-    wrong = deskew(sweep.points, -sweep.relative_time, MOTION)
-    assert np.percentile(off(wrong), 90) > 0.2, "the direction matters"
 
 
 def test_deskew_keeps_rows_that_are_no_returns() -> None:
@@ -79,26 +64,15 @@ def test_deskew_keeps_rows_that_are_no_returns() -> None:
     assert (result[4] != points[4]).all()
 
 
-def test_deskew_refuses_wrong_shapes_and_times() -> None:
+def test_deskew_refuses_points_without_time() -> None:
     points = np.ones((4, 3), np.float32)
     with pytest.raises(InputError, match="no finite time"):
         deskew(points, np.array([0, 0, np.nan, 0], np.float32), MOTION)
-    with pytest.raises(InputError, match=r"\(4, 3\) and \(3,\)"):
-        deskew(points, np.zeros(3, np.float32), MOTION)
-    with pytest.raises(InputError):
-        deskew(np.ones((4, 4), np.float32), np.zeros(4, np.float32), MOTION)
 
 
 def test_logarithm_and_exponential_are_scipys() -> None:
     for vector in Rotation.random(50, rng=np.random.default_rng(2)).as_rotvec():
-        generator = np.zeros((4, 4))
-        generator[:3, :3] = [
-            [0, -vector[2], vector[1]],
-            [vector[2], 0, -vector[0]],
-            [-vector[1], vector[0], 0],
-        ]
-        generator[:3, 3] = (1, 2, 3)
-        motion = expm(generator)
+        motion = expm(generator_of(vector, (1, 2, 3)))
         np.testing.assert_allclose(se3_exp(vector, np.array([1.0, 2, 3])), motion, atol=1e-12)
         omega, velocity = se3_log(motion)
         np.testing.assert_allclose(omega, vector, atol=1e-10)
@@ -119,14 +93,6 @@ def test_centred_motion() -> None:
         slope = np.polyfit(list(around), np.array(logarithms), 1)[0].reshape(4, 4)
         np.testing.assert_allclose(motions[k], expm(slope), atol=1e-9)
     assert centred_motion(poses[:1]).tolist() == [np.eye(4).tolist()]
-
-
-def test_jitter_of_poses_hardly_reaches_the_motion() -> None:
-    rng = np.random.default_rng(2)
-    poses = np.array([np.linalg.matrix_power(MOTION, k) for k in range(40)])
-    poses[:, :3, 3] += rng.normal(0, 0.01, (40, 3))
-    errors = (centred_motion(poses) - MOTION)[5:-5, :3, 3]
-    assert np.sqrt((errors**2).mean()) < 0.005  # 0.0032 by theory; 0.0071 of one on either side
 
 
 def test_a_lost_sweep_does_not_double_the_motion() -> None:
@@ -156,13 +122,6 @@ def test_raw_sweeps_at_speed() -> None:
         exact = deskew(sweep.points, sweep.relative_time, MOTION)
         near = np.linalg.norm(exact, axis=1) < 30
         assert np.abs(points - exact)[near].max() < 0.01
-
-
-@pytest.mark.parametrize("speed", [0.0, 3.5])
-def test_the_first_motion_is_found_at_any_speed(speed: float) -> None:
-    drive = Drive(6, motion=se3_exp(np.array([0.0, 0.0, 0.01]), np.array([speed, 0.0, 0.0])))
-    result = register_drive(drive)
-    assert pose_errors(result.trajectory.poses, drive.exact).max() < 0.02
 
 
 def test_compensated_sweeps_are_left_alone() -> None:
@@ -272,17 +231,6 @@ def test_a_thinned_sweep_has_the_mean_of_each_voxel() -> None:
     thinned, when = _core.thin_sweep(points, times, 0.8, 3.0, 20.0)
     np.testing.assert_allclose(np.column_stack([thinned, when]), expected, atol=1e-5)
     assert 100 < len(thinned) < 4500
-
-
-def test_a_sweep_can_be_thinned_before_it_is_deskewed() -> None:
-    drive = Drive(2)
-    sweep = drive.sweep(1)
-    thinned = ThinnedSweeps(drive, OdometryParameters(), 0.25, 1)[1]
-    assert len(thinned.points) < 0.7 * len(sweep.points)
-    near = np.linalg.norm(thinned.points, axis=1) < 30
-    points = deskew(thinned.points, thinned.relative_time, MOTION)[near]
-    world = points.astype(np.float64) @ drive.exact[1][:3, :3].T + drive.exact[1][:3, 3]
-    assert np.percentile(drive.street.distance(world), 90) < 0.02  # means of corners lie inside
 
 
 def test_a_run_reads_each_sweep_once(tmp_path: Path) -> None:

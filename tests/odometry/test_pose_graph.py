@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from docdepth.errors import MissingExtraError
 from docdepth.geometry.se3 import inverse, se3_exp
 from docdepth.odometry.pose_graph import (
     CLOSURE_SHIFT,
@@ -35,13 +33,6 @@ def ring(count: int, error: np.ndarray, length: float = 10.0) -> tuple[np.ndarra
     """Nodes once around a ring, exact and with an error in each step."""
     step = se3_exp(np.array([0, 0, 2 * np.pi / count]), np.array([length, 0, 0]))
     return chain([step] * count), chain([step @ error] * count)
-
-
-def test_without_contradiction_nothing_moves() -> None:
-    exact, _ = ring(20, np.eye(4))
-    closures = [Edge(a, b, inverse(exact[a]) @ exact[b]) for a, b in ((0, 20), (3, 17))]
-    np.testing.assert_allclose(optimized(exact, closures), exact, atol=1e-9)
-    assert misfits(exact, closures).max() < 1e-9
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -107,22 +98,6 @@ def test_a_dense_solver_finds_the_same(seed: int) -> None:
     np.testing.assert_allclose(optimized(poses, closures), plain(poses, closures), atol=2e-5)
 
 
-def test_drift_of_a_ring_goes_away() -> None:
-    """A ring driven twice, whose steps turn and climb a little too much."""
-    error = se3_exp(np.array([1e-4, 1e-4, 5e-4]), np.array([0.01, 0.005, 0.005]))
-    step = se3_exp(np.array([0, 0, 2 * np.pi / 60]), np.array([10.0, 0, 0]))
-    exact, poses = chain([step] * 120), chain([step @ error] * 120)
-    closures = [Edge(k, k + 60, np.eye(4)) for k in range(61)]
-    moved = optimized(poses, closures)
-
-    def off(found: np.ndarray) -> np.ndarray:
-        return np.linalg.norm((found - exact)[:, :3, 3], axis=1)
-
-    assert off(poses)[-1] > 5
-    assert np.linalg.norm((moved[60:] - moved[:61])[:, :3, 3], axis=1).max() < 0.1
-    assert off(moved)[60:].max() < 0.2 * off(poses)[-1]
-
-
 def test_sweeps_between_nodes() -> None:
     rng = np.random.default_rng(4)
     steps = [se3_exp(rng.normal(0, 0.05, 3), rng.normal([1, 0, 0], 0.1)) for _ in range(12)]
@@ -146,9 +121,3 @@ def test_sweeps_between_nodes() -> None:
     np.testing.assert_allclose(
         inverse(result[9]) @ result[9:], inverse(poses[9]) @ poses[9:], atol=1e-12
     )
-
-
-def test_scipy_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "scipy.sparse.linalg", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'docdepth\[loops\]'"):
-        optimized(np.repeat(np.eye(4)[None], 2, axis=0), [])

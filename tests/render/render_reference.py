@@ -13,7 +13,7 @@ from docdepth.render import depth_map, layers
 from docdepth.render.depth_map import render_list
 from docdepth.render.dynamic_objects import dynamic_objects
 from docdepth.render.render_sweep import RenderSweep
-from docdepth.render.selection import dynamic_sweep, static_sweeps
+from docdepth.render.selection import static_sweeps
 
 # Camera axes in the LiDAR frame: x right = -y, y down = -z, z forward = x.
 AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], dtype=np.float64)
@@ -149,7 +149,7 @@ def drive(rng, camera_time, parameters, n=6):
     clouds = []
     for dynamic in (False, True):
         indices = static_sweeps(trajectory, camera_time, parameters)
-        for i in [dynamic_sweep(trajectory, camera_time)] if dynamic else indices:
+        for i in [trajectory.nearest(camera_time)] if dynamic else indices:
             with np.errstate(invalid="ignore", over="ignore"):
                 distance = np.linalg.norm(sweeps[i].astype(np.float64), axis=1)
             kept = np.isfinite(distance) if dynamic else distance < parameters.crop

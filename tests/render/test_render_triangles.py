@@ -9,7 +9,6 @@ from render_reference import (
     TRIANGLES,
     compose_depth,
     drawing,
-    drive,
     followed,
     moving_track,
     pixel_rays,
@@ -20,7 +19,6 @@ from render_reference import (
 
 from docdepth.geometry.track import Tracks
 from docdepth.render import render_sweep as render_sweep_module
-from docdepth.render.selection import STEP_GROWTH, static_sweeps
 from lidar_rays import scan_rays
 
 
@@ -119,16 +117,6 @@ def test_triangles_equal_a_plain_rasteriser(seed):
     assert np.isfinite(expected[sure]).sum() > 500
     np.testing.assert_allclose(depth[sure], expected[sure], rtol=1e-3)
     np.testing.assert_array_equal(draw_triangles(camera, vertices, triangles, threads=3), depth)
-
-
-def test_triangles_do_not_depend_on_threads():
-    trajectory, frames, _ = drive(np.random.default_rng(10), 130_000_000, TRIANGLES)
-    one, two = (
-        compose_depth(*drawing(frames, trajectory, 130_000_000, camera=small_camera(250)), t)
-        for t in (1, 2)
-    )
-    np.testing.assert_array_equal(one, two)
-    assert np.isfinite(one).sum() > 600
 
 
 @pytest.mark.parametrize(("is_followed", "time_offset"), [(0, None), (1, None), (1, 0.012)])
@@ -237,34 +225,3 @@ def test_an_isolated_return_is_a_small_diamond(monkeypatch):
     assert inside.sum() > 40
     np.testing.assert_array_equal(np.isfinite(depth), inside)
     np.testing.assert_allclose(depth[inside], 10, rtol=1e-5)
-
-
-def test_sweeps_for_triangles_start_with_the_nearest_and_thin_out():
-    trajectory = straight(300, spacing=0.5)
-    far = TRIANGLES.model_copy(update={"ahead": 100.0})
-    taken = static_sweeps(trajectory, 5_030_000_000, far)  # at 25.15 m
-    ahead = trajectory.arc_length[taken] - 25.15
-    assert taken[0] == 50
-    assert len(set(taken.tolist())) == len(taken)
-    assert (np.diff(np.abs(ahead[1:])) >= 0).all()
-    assert ahead.min() > -far.behind
-    assert ahead.max() > 0.7 * far.ahead
-    ordered = np.sort(ahead[1:])
-    assert np.diff(ordered)[np.abs(ordered[1:]) < 4].max() < 2.1
-    assert np.diff(ordered)[ordered[1:] > 50].min() >= 8
-    # The next image takes the same sweeps, except the nearest and a few new ones.
-    following = static_sweeps(trajectory, 5_130_000_000, far)
-    assert len(set(following.tolist()) - set(taken.tolist())) <= 3
-
-
-@pytest.mark.parametrize("spacing", [0.5, 1.1, 2.8])
-def test_sweeps_for_triangles_leave_no_gap_however_fast_the_ego_is(spacing):
-    trajectory = straight(300, spacing=spacing)
-    taken = static_sweeps(trajectory, int(trajectory.times[60]) + 30_000_000, TRIANGLES)
-    ahead = np.sort(
-        trajectory.arc_length[taken]
-        - trajectory.arc_length_at(int(trajectory.times[60]) + 30_000_000)[0]
-    )
-    ahead = ahead[ahead > 0]
-    # Spacings double, so the next sweep is at most twice the minimum spacing away.
-    assert (np.diff(ahead) < 2 * STEP_GROWTH * ahead[1:] + spacing + 0.01).all()

@@ -68,18 +68,6 @@ def test_selection_equals_the_rules_on_the_whole_trajectory(parameters, seed, n)
             assert static_sweeps(trajectory, time, p).tolist() == reference(trajectory, time, p)
 
 
-@pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
-def test_a_window_that_holds_no_sweep(parameters):
-    """Between two sweeps that are 500 m apart."""
-    poses = np.repeat(np.eye(4)[None], 4, axis=0)
-    poses[:, 0, 3] = 0, 1, 501, 502
-    trajectory = Trajectory(np.arange(4) * 10**8, poses)
-    time = 150_000_000
-    assert static_sweeps(trajectory, time, parameters).tolist() == reference(
-        trajectory, time, parameters
-    )
-
-
 class Whole(np.ndarray):
     """An array of the whole drive: it can be indexed, and nothing else."""
 

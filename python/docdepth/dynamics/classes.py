@@ -16,7 +16,7 @@ from docdepth.config import DynamicsParameters
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
 from docdepth.geometry.checks import ShortRepr
-from docdepth.geometry.points import DYNAMIC, GROUND, STATIC, check_sweep
+from docdepth.geometry.points import DYNAMIC, GROUND, STATIC
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.track import Track
 
@@ -62,13 +62,7 @@ def cluster_objects(
     -------
     ndarray of uint32, shape (N,)
         For each point the first row of its object; a ground point is an object of its own.
-
-    Raises
-    ------
-    InputError
-        A shape or dtype is wrong.
     """
-    points, ground = check_sweep(points, ground)
     return _core.cluster_objects(points, ground, (mesh or ScanMesh(points)).core)
 
 
@@ -103,15 +97,9 @@ def classify(
     -------
     ndarray of uint16, shape (N,)
         0 ground, 50 static, 100 dynamic. Where surfaces vote, ground points can be dynamic, too.
-
-    Raises
-    ------
-    InputError
-        A shape or dtype is wrong.
     """
     p = parameters or DynamicsParameters()
     if p.evidence != "points" and points is not None:
-        points, ground = check_sweep(points, ground)
         mesh = mesh or ScanMesh(points)
         if objects is None:
             objects = cluster_objects(points, ground, mesh)

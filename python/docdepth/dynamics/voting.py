@@ -13,9 +13,7 @@ import docdepth._core as _core
 from docdepth.config import DynamicsParameters
 from docdepth.errors import InputError
 from docdepth.geometry.checks import ShortRepr
-from docdepth.geometry.points import check_sweep
 from docdepth.geometry.scan_mesh import ScanMesh
-from docdepth.geometry.se3 import check_rigid
 from docdepth.geometry.sensor_rig import SensorRig, lidar_views
 
 NEVER = 65535
@@ -94,11 +92,6 @@ class KeyFrame:
         Of these points; made here when needed and not given.
     sensor_rig : SensorRig, optional
         Where the sweep was measured from; each of several LiDARs votes from its own place.
-
-    Raises
-    ------
-    InputError
-        A shape or dtype is wrong.
     """
 
     def __init__(
@@ -110,7 +103,6 @@ class KeyFrame:
         sensor_rig: SensorRig | None = None,
     ) -> None:
         p = parameters or DynamicsParameters()
-        points, ground = check_sweep(points, ground)
         self._views: list[tuple[_core.KeyFrame, NDArray[np.float64]]] = []
         if p.vote_model == "range_image":
             size = np.radians(p.resolution_deg), p.window, p.tolerance
@@ -160,23 +152,7 @@ def vote(
     Returns
     -------
     Votes
-
-    Raises
-    ------
-    InputError
-        A shape or dtype is wrong, or a pose is not rigid.
     """
-    points, ground = check_sweep(points, ground)
-    pose = np.ascontiguousarray(T_world_lidar, dtype=np.float64)
-    poses = np.ascontiguousarray(poses, dtype=np.float64)
-    if not key_frames:
-        poses = np.zeros((0, 4, 4))
-    if pose.shape != (4, 4) or poses.shape != (len(key_frames), 4, 4):
-        raise InputError(
-            f"voting needs a (4, 4) pose of the sweep and one of each of the {len(key_frames)} key "
-            f"frames; got {pose.shape} and {poses.shape}"
-        )
-    check_rigid(np.concatenate([pose[None], poses]))
     voters = [
         (core, T_world_key @ T_lidar_sensor)
         for frame, T_world_key in zip(key_frames, poses, strict=True)
@@ -186,7 +162,7 @@ def vote(
     static, dynamic, once, first, last = _core.vote(
         points,
         ground,
-        pose,
+        T_world_lidar,
         [core for core, _ in voters],
         np.array([T for _, T in voters]).reshape(-1, 4, 4),
         threads,

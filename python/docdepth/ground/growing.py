@@ -1,26 +1,106 @@
-"""The ground of a drive, chunk by chunk (paper IV-A)."""
+"""The ground of a drive, chunk by chunk: voxels, seeds below the poses and a front (paper IV-A)."""
 
 from __future__ import annotations
 
 import itertools
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+import docdepth._core as _core
 from docdepth.concurrency import Progress, Timer, null_progress, prefetch, thread_count
 from docdepth.config import GroundParameters, Parameters, given
 from docdepth.datasets.point_times import sweep_seconds
+from docdepth.errors import InputError
 from docdepth.geometry.points import spread, usable_points
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.ground.ground_map import GroundMap
 from docdepth.odometry.sweeps import AnySweep, lidar_frame
+
+logger = logging.getLogger(__name__)
 
 CHUNK_OVERLAP = 100.0
 """Path before and after a chunk that is merged with it: about the range of a LiDAR [m]."""
+
+
+MIN_GROUND_SHARE = 0.01
+"""Even a narrow street has several times this share of ground; with less the seeds failed [-]."""
+
+
+class GroundMap:
+    """The merged sweeps of a chunk of the drive, and the ground that grows in them.
+
+    Sweeps are merged into voxels and not kept, so memory grows with the area seen and not with the
+    number of sweeps. Maps with the same ``corner`` of some voxel, (3,) in the world [m], have the
+    same voxels where they overlap; the labels do not depend on ``threads``.
+    """
+
+    def __init__(
+        self,
+        parameters: GroundParameters,
+        threads: int = 0,
+        corner: NDArray[np.float64] | None = None,
+    ) -> None:
+        self._map = _core.GroundMap(_core_parameters(parameters), threads, corner)
+        self.label: Callable[[NDArray[np.float32], NDArray[np.float64]], NDArray[np.bool_]]
+        self.label = self._map.label
+
+    def insert(self, points: NDArray[np.float32], T_world_lidar: NDArray[np.float64]) -> None:
+        """Merge usable points (N, 3) of a sweep; a seed of the ground is chosen below its pose.
+
+        Raises
+        ------
+        InputError
+            A point lies too far from the first pose.
+        """
+        try:
+            self._map.insert(points, T_world_lidar)
+        except IndexError as error:
+            raise InputError(
+                f"{error}: a map reaches a million voxels in each direction; start a new one for "
+                "each chunk of the drive and leave out stray returns"
+            ) from None
+
+    def grow(self) -> int:
+        """Choose seeds below every pose and grow over all that was inserted.
+
+        The nearest returns may be the vehicle's own body. So with ``seed_quantile`` above 0, while
+        less than one voxel in a hundred is ground, seeds are chosen twice as far away, up to 16 m.
+        No plane leads over a kerb. So ground also continues in a square metre without ground whose
+        lowest voxels lie within ``step_height`` of the ground beside it.
+
+        Returns
+        -------
+        int
+            Number of ground voxels. A warning is logged when there is almost none.
+        """
+        count, voxels = self._map.grow(), len(self._map)
+        logger.info("ground: %d of %d voxels", count, voxels)
+        if count < MIN_GROUND_SHARE * voxels:
+            logger.warning(
+                "almost no ground was found (%d of %d voxels): the seeds may be outliers below "
+                "the road, or the LiDAR's z axis does not point up",
+                count,
+                voxels,
+            )
+        return count
+
+
+def _core_parameters(parameters: GroundParameters) -> _core.GroundParameters:
+    core = _core.GroundParameters()
+    core.voxel_size = parameters.voxel_size
+    core.seed_radius = parameters.seed_radius
+    core.seed_quantile = parameters.seed_quantile
+    if not parameters.seed_quantile:
+        core.least_share = 0  # the paper does not widen the search for seeds
+    core.step_height = parameters.step_height
+    core.neighbors = parameters.neighbors
+    core.plane_distance = parameters.plane_distance
+    core.max_slope = float(np.radians(parameters.max_slope_deg))
+    return core
 
 
 class Chunk(NamedTuple):
@@ -148,19 +228,17 @@ def grow_ground(
         usable[index] = usable_points(points)
         return points[usable[index]]
 
-    labels: list[NDArray[np.bool_]] = []
+    report, labels = progress or null_progress, list[NDArray[np.bool_]]()
     for chunk in chunks(trajectory, p):
-        done = partial(_chunk_progress, progress or null_progress, chunk, len(trajectory))
+        begin, length = chunk.sweeps[0], len(chunk.sweeps)
+
+        def done(share: float, begin: int = begin, length: int = length) -> None:
+            report("ground", begin + int(share * length), len(trajectory))
+
         found = label_chunk(chunk, read, trajectory, p, threads, done)
         for index, of_usable in zip(chunk.sweeps, found, strict=True):
             rows = usable.pop(index)
             labels.append(spread(of_usable, rows, len(rows)))
         usable.clear()
-    if progress:
-        progress("ground", len(trajectory), len(trajectory))
+    report("ground", len(trajectory), len(trajectory))
     return labels
-
-
-def _chunk_progress(progress: Progress, chunk: Chunk, total: int, share: float) -> None:
-    """Report a share of a chunk as sweeps done of a drive of ``total`` sweeps."""
-    progress("ground", chunk.sweeps[0] + int(share * len(chunk.sweeps)), total)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import InputError
-
 BRIGHT = 0.9
 """Share of the full scale of intensity that signs and number plates exceed."""
 
@@ -38,18 +36,9 @@ def blooming_points(
     Returns
     -------
     ndarray of bool, shape (N,)
-
-    Raises
-    ------
-    InputError
-        The shapes differ.
     """
     from small_gicp import KdTree
 
-    if points.ndim != 2 or points.shape[1] != 3 or intensity.shape != points.shape[:1]:
-        raise InputError(
-            f"points {points.shape} and intensity {intensity.shape} differ; give (N, 3) and (N,)"
-        )
     ghost = np.zeros(len(points), bool)
     rows = np.flatnonzero(np.isfinite(points).all(axis=1) & points.any(axis=1))
     returns = points[rows].astype(np.float64)

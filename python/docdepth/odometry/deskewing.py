@@ -40,13 +40,8 @@ def deskew(
     Raises
     ------
     InputError
-        Shapes do not fit, or a usable point has no time.
+        A usable point has no time.
     """
-    if points.ndim != 2 or points.shape[1] != 3 or relative_time.shape != points.shape[:1]:
-        raise InputError(
-            f"deskewing needs points (N, 3) and relative times (N,), got {points.shape} and "
-            f"{relative_time.shape}"
-        )
     usable = usable_points(points)
     if not np.isfinite(relative_time[usable]).all():
         raise InputError("a usable point has no finite time; drop it or give it one")
@@ -64,7 +59,7 @@ def deskew(
         sine = np.sin(share * np.float32(angle))
         half = np.sin(share * np.float32(0.5 * angle))
         versine = np.float32(2) * half * half
-        first, second = _rows(A), _rows(A @ A)
+        first, second = A.astype(np.float32), (A @ A).astype(np.float32)
         b = (-A @ A @ velocity / angle).astype(np.float32)
         c = (A @ velocity / angle).astype(np.float32)
         d = (axis * (axis @ velocity)).astype(np.float32)
@@ -121,7 +116,3 @@ def centred_motion(
         slope = x @ twists / (x @ x)
         motions[row] = se3_exp(slope[:3], slope[3:])
     return motions
-
-
-def _rows(matrix: NDArray[np.float64]) -> list[NDArray[np.float32]]:
-    return list(matrix.astype(np.float32))

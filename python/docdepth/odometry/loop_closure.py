@@ -93,11 +93,6 @@ def close_loops(
     -------
     ndarray of float64, shape (n, 4, 4)
         ``poses`` itself if no place was found again.
-
-    Raises
-    ------
-    MissingExtraError
-        scipy is not installed.
     """
     trajectory = Trajectory(sweeps.times, poses)
     nodes = trajectory.subsample(SPACING)

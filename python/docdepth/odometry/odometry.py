@@ -31,7 +31,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.first_motion import FIRST_SWEEPS, first_motion
 from docdepth.odometry.loop_closure import close_loops
-from docdepth.odometry.passes import register
+from docdepth.odometry.passes import KnownPoses, register
 from docdepth.odometry.places import KEPT_SWEEPS
 from docdepth.odometry.pose_checks import (
     check_given_poses,
@@ -184,14 +184,14 @@ def estimate_poses(
         check_solver()
     poses: NDArray[np.float64] = np.repeat(np.eye(4)[None], count, axis=0)
     sweeps = sweeps or _thinned_sweeps(dataset, parameters, passes)
-    stream: _PoseStream | None = None
+    stream: KnownPoses | None = None
     first = _first_motion(sweeps, _log(dataset, parameters, checkpoint, "first_motion"))
     logs = [_log(dataset, parameters, checkpoint, f"pass_{k + 1}") for k in range(passes)]
     for log_of_pass in logs:
         registered = register(
             sweeps, parameters, first, stream, thread_count(threads), log_of_pass, findings
         )
-        stream = _PoseStream(smoothed(registered), count)
+        stream = _pose_stream(smoothed(registered), count)
     assert stream is not None
     try:
         for k in range(count):
@@ -244,23 +244,15 @@ def _log(
     return RegistrationLog(folder / f"{name}.log", key)
 
 
-class _PoseStream:
-    """Poses of a pass, which are made when they are asked for.
+def _pose_stream(made: Iterator[NDArray[np.float64]], count: int) -> KnownPoses:
+    """Poses of a pass of so many sweeps, which are made when they are asked for."""
+    poses, known = np.repeat(np.eye(4)[None], count, axis=0), 0
 
-    Parameters
-    ----------
-    made : iterator of ndarray of float64, shape (4, 4)
-    count : int
-        How many there will be.
-    """
+    def up_to(k: int) -> NDArray[np.float64]:
+        nonlocal known
+        while known <= k:
+            poses[known] = next(made)
+            known += 1
+        return poses
 
-    def __init__(self, made: Iterator[NDArray[np.float64]], count: int) -> None:
-        self._made, self._known = made, 0
-        self._poses = np.repeat(np.eye(4)[None], count, axis=0)
-
-    def __call__(self, k: int) -> NDArray[np.float64]:
-        """Poses (n, 4, 4), of which the first k + 1 are known."""
-        while self._known <= k:
-            self._poses[self._known] = next(self._made)
-            self._known += 1
-        return self._poses
+    return up_to

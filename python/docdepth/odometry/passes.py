@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,22 +39,9 @@ _SETTLED = 4  # sweeps after which the filter knows the motion
 
 
 class LoggedRegistration:
-    """A registration that goes on behind what a log holds.
+    """A registration with an empty map that goes on behind what a log of ``count`` sweeps holds.
 
-    Parameters
-    ----------
-    registration : Registration
-        With an empty map.
-    kept : RegistrationLog
-    count : int
-        Sweeps of the drive.
-    reach : float
-        Farthest point that is registered [m].
-
-    Attributes
-    ----------
-    first : int
-        The first sweep that the map shows.
+    Points are no farther than ``reach`` [m]; ``first`` is the first sweep that the map shows.
     """
 
     def __init__(
@@ -70,15 +56,7 @@ class LoggedRegistration:
     def align(
         self, index: int, deskewed: Callable[[], NDArray[np.float32]], guess: NDArray[np.float64]
     ) -> Found:
-        """What registration finds, or has found, of a sweep; it is read only if it is needed.
-
-        Parameters
-        ----------
-        index : int
-        deskewed : callable
-            Reads the points of the sweep.
-        guess : ndarray of float64, shape (4, 4)
-        """
+        """What registration finds, or has found, of a sweep; it is read only if it is needed."""
         found = self._log.found(index)
         if found is not None and (index < self._read or not found.usable):
             return found
@@ -166,7 +144,11 @@ def register(
             poses = known(min(k + NEIGHBORS, count - 1))
             motion = centred_motion(poses, times, [k])[0]
             guess = last @ inverse(poses[k - 1]) @ poses[k] if k else last
-        found = registration.align(k, partial(_deskewed, sweeps, k, motion), guess)
+
+        def deskewed(k: int = k, motion: NDArray[np.float64] = motion) -> NDArray[np.float32]:
+            return deskewed_points(sweeps[k], k, motion)
+
+        found = registration.align(k, deskewed, guess)
         seconds = elapsed * period * 1e-9
         if state is None:
             state = first_state(found.pose, velocity)
@@ -194,12 +176,6 @@ def register(
         )
         remedy = "look at them, or bring better ones (`poses`)"
         findings.append(Finding("registration-disagrees", "", text, remedy))
-
-
-def _deskewed(
-    sweeps: ThinnedSweeps, index: int, motion: NDArray[np.float64]
-) -> NDArray[np.float32]:
-    return deskewed_points(sweeps[index], index, motion)
 
 
 def _power(motion: NDArray[np.float64], share: float) -> NDArray[np.float64]:

@@ -59,13 +59,7 @@ def optimized(poses: NDArray[np.float64], closures: Sequence[Edge]) -> NDArray[n
     Returns
     -------
     ndarray of float64, shape (n, 4, 4)
-
-    Raises
-    ------
-    MissingExtraError
-        scipy is not installed.
     """
-    check_solver()
     from scipy.sparse import coo_array
     from scipy.sparse.linalg import splu
 

@@ -62,7 +62,9 @@ class RegistrationLog:
     """
 
     def __init__(self, path: Path | None = None, key: str = "") -> None:
-        self._path, self._head = path, _head(key)
+        self._path = path
+        # A path in the key may be of any bytes.
+        self._head = key.replace("\n", " ").encode("utf-8", "surrogateescape") + b"\n"
         self._rows = np.zeros(0, _ROW) if path is None else _read(path, self._head)
         self._count = len(self._rows)
         self._stream: BinaryIO | None = None
@@ -118,16 +120,9 @@ class RegistrationLog:
         self._stream = None
 
     def first_needed(self, reach: float) -> int:
-        """The first sweep that the map behind the last row is made of.
-
-        Parameters
-        ----------
-        reach : float
-            Sweeps whose poses are farther apart touch no voxel both [m].
-        """
+        """The first sweep that the map behind the last row is made of; see `first_insertion`."""
         inserted = np.flatnonzero(self._rows["usable"])
-        positions = self._rows["pose"][inserted, :3, 3]
-        first = first_insertion(positions, reach)
+        first = first_insertion(self._rows["pose"][inserted, :3, 3], reach)
         return int(inserted[first]) if first else 0
 
 
@@ -158,20 +153,13 @@ def first_insertion(positions: NDArray[np.float64], reach: float) -> int:
     return int(begins[-1]) // CLEAR_CYCLE * CLEAR_CYCLE if len(begins) else 0
 
 
-def _head(key: str) -> bytes:
-    """First line of a file; a path in the key may be of any bytes."""
-    return key.replace("\n", " ").encode("utf-8", "surrogateescape") + b"\n"
-
-
 def _read(path: Path, head: bytes) -> NDArray[np.void]:
     """The whole rows of a file that begins with ``head``."""
     try:
         content = path.read_bytes()
     except OSError:
-        return np.zeros(0, _ROW)
-    if not content.startswith(head):
-        return np.zeros(0, _ROW)
-    body = content[len(head) :]
+        content = b""
+    body = content[len(head) :] if content.startswith(head) else b""
     rows = np.frombuffer(body, _ROW, len(body) // _ROW.itemsize)
     for k in range(len(rows)):
         begin = k * _ROW.itemsize

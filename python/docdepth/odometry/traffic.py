@@ -9,6 +9,8 @@ vehicle.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -50,53 +52,40 @@ class Traffic:
         ndarray of bool, shape (N,)
         """
         along = np.zeros(len(points), bool)
-        along[self._rows(points, pose)] = True
-        self._seen.append(_Sweep(pose, points))
-        return along
-
-    def _rows(self, points: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Rows of the points that drive along."""
-        none = np.zeros(0, np.int64)
         seen = [(float(np.linalg.norm((s.pose - pose)[:3, 3])), s) for s in self._seen]
         behind = [s for far, s in seen if _NEAREST <= far <= _FARTHEST and len(s.points)]
+        self._seen.append(_Sweep(pose, points))
         if not len(points) or not behind:
-            return none
+            return along
         moved, before = seen[-1]
         if moved <= _ALONG or not len(before.points):
-            return none
+            return along
         rows = np.flatnonzero(_moved_little(points, pose, before))
         for sweep in behind:
-            T = _from(sweep.pose, pose)
+            T = inverse(sweep.pose) @ pose
             there = points[rows] @ T[:3, :3].T + T[:3, 3]
-            rows = rows[sweep.distance(there) > _SAME_PLACE]
-        return rows
+            rows = rows[_distance(sweep.tree, there) > _SAME_PLACE]
+        along[rows] = True
+        return along
 
 
+@dataclass(frozen=True)
 class _Sweep:
-    """A sweep that was seen."""
+    """A sweep that was seen: its pose, and what rises above the road in its frame."""
 
-    def __init__(self, pose: NDArray[np.float64], points: NDArray[np.float64]) -> None:
-        self.pose, self.points = pose, points
-        self._tree: Any = None
+    pose: NDArray[np.float64]
+    points: NDArray[np.float64]
 
-    def distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Of points (n, 3) in its frame to its nearest point [m]."""
-        if self._tree is None:
-            self._tree = _tree(self.points)
-        return _distance(self._tree, points)
-
-
-def _from(pose: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    """From the frame of another pose to that of a pose (4, 4)."""
-    T: NDArray[np.float64] = inverse(pose) @ other
-    return T
+    @cached_property
+    def tree(self) -> Any:
+        return _tree(self.points)
 
 
 def _moved_little(
     points: NDArray[np.float64], pose: NDArray[np.float64], before: _Sweep
 ) -> NDArray[np.bool_]:
     """Which points have a point of the sweep before near by, as seen from the vehicle."""
-    ahead = _from(before.pose, pose)[:3, 3]
+    ahead = (inverse(before.pose) @ pose)[:3, 3]
     ahead = ahead / np.linalg.norm(ahead)
     # Distances aside count as much more as they may be smaller.
     stretch = np.eye(3) + (_ALONG / _ASIDE - 1) * (np.eye(3) - np.outer(ahead, ahead))

@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 import docdepth._core as _core
 from docdepth.config import RenderParameters
-from docdepth.errors import InputError
 from docdepth.geometry.lidar_frame import LidarFrame
-from docdepth.geometry.points import DYNAMIC, check_points
+from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.scan_mesh import LidarMesh, ScanMesh
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.track import Tracks
@@ -57,11 +56,6 @@ class RenderSweep:
         One for each LiDAR.
     objects : DynamicObjects
         Of the points that are drawn. Triangles only.
-
-    Raises
-    ------
-    InputError
-        A shape or dtype is wrong.
     """
 
     parts: list[Part]
@@ -74,7 +68,7 @@ class RenderSweep:
         velocity: ArrayLike | None = None,
         objects: DynamicObjects | None = None,
     ) -> None:
-        points, classid = _checked(frame)
+        points, classid = frame.points, frame.classes
         time_offset, sensor_rig = frame.time_offset, frame.sensor_rig
         p = parameters or RenderParameters()
         drawn = _within_crop(points, classid, p.crop)
@@ -89,10 +83,6 @@ class RenderSweep:
         if sensor_rig is not None:
             sensor_rig = sensor_rig.select(drawn)
         objects = objects or dynamic_objects(frame)
-        if objects.object_index.shape != (len(points),):
-            raise InputError(
-                f"objects are of {len(objects.object_index)} points, but there are {len(points)}"
-            )
         self.objects = objects.select(drawn)
         self._triangulate(points.compress(drawn, axis=0), classid[drawn], sensor_rig)
 
@@ -149,28 +139,13 @@ def prepare_sweep(
     Raises
     ------
     InputError
-        A shape or dtype is wrong, or the sweep has no classes.
+        The sweep has no classes.
     """
     if not whole:
         frame = frame.select(near_vehicles(frame, tracks or Tracks()))
     time, pose = int(trajectory.times[index]), trajectory.poses[index]
     objects = dynamic_objects(frame, time, pose, tracks, is_drawn)
     return RenderSweep(frame, parameters, trajectory.velocity(index), objects)
-
-
-def _checked(frame: LidarFrame) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
-    points, classid = check_points(frame.points), np.asarray(frame.classes)
-    if classid.shape != (len(points),) or classid.dtype != np.uint16:
-        raise InputError(
-            f"classid must be uint16 of shape ({len(points)},), one for each point; "
-            f"got {classid.dtype} {classid.shape}"
-        )
-    if frame.time_offset is not None and frame.time_offset.shape != (len(points),):
-        raise InputError(
-            f"time_offset must have shape ({len(points)},), one for each point; "
-            f"got {frame.time_offset.shape}"
-        )
-    return points, np.ascontiguousarray(classid)
 
 
 def _within_crop(

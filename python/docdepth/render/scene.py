@@ -170,10 +170,10 @@ class Scene:
         classid = np.asarray(classes.classid if hasattr(classes, "classid") else classes)
         try:
             frame = lidar_frame(sweep, self._period)
-            if classid.shape != frame.points.shape[:1]:
+            if classid.shape != frame.points.shape[:1] or classid.dtype != np.uint16:
                 raise InputError(
-                    f"points {frame.points.shape} must have shape (N, 3), and their classes "
-                    f"{classid.shape} shape (N,), one for each point"
+                    f"points {frame.points.shape} need classes uint16 of shape (N,), one for each "
+                    f"point; got {classid.dtype} {classid.shape}"
                 )
             instance = getattr(classes, "instance", None)
             frame = replace(frame, classid=classid, instance=instance)

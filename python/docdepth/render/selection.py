@@ -139,11 +139,6 @@ def static_sweeps(
     return np.array(select(trajectory, time, here, p), dtype=np.int64)
 
 
-def dynamic_sweep(trajectory: Trajectory, time: int) -> int:
-    """Index of the sweep whose dynamic points are drawn: the nearest in time to ``time`` [ns]."""
-    return trajectory.nearest(time)
-
-
 def _window(arc: NDArray[np.float64], here: float, p: RenderParameters) -> tuple[int, int]:
     """First candidate and the one after the last; arc lengths never decrease."""
     begin = bisect_right(arc, -p.behind, key=lambda a: a - here)
@@ -197,7 +192,7 @@ def _roundest(first: int, last: int) -> float:
 
 
 def _dynamic(trajectory: Trajectory, time: int, p: RenderParameters) -> list[int]:
-    nearest = dynamic_sweep(trajectory, time)
+    nearest = trajectory.nearest(time)
     if p.primitive == "splats":
         return [nearest]
     first = max(nearest - DYNAMIC_SWEEPS, 0)
