@@ -166,20 +166,6 @@ def run(dataset, path):
     return folder
 
 
-@pytest.mark.nightly
-def test_a_sweep_of_both(two):
-    dataset = open_dataset(two)
-    sweep = dataset.sweep(3)
-    first = np.fromfile(two / "velodyne" / "000003.bin", np.float32).reshape(-1, 4)
-    second = np.fromfile(two / "velodyne_2" / "000003.bin", np.float32).reshape(-1, 4)
-    np.testing.assert_array_equal(sweep.points[: len(first)], first[:, :3])
-    shifted = second[:, :3] + np.float32([0, 0, LOW - HIGH])
-    np.testing.assert_allclose(sweep.points[len(first) :], shifted, atol=1e-4)
-    np.testing.assert_array_equal(sweep.intensity, np.append(first[:, 3], second[:, 3]))
-    np.testing.assert_array_equal(sweep.sensor_rig.index, [0] * len(first) + [1] * len(second))
-    assert len(dataset.labels(3)) == len(sweep.points)
-
-
 def grid(x, width, height):
     """A wall across the x axis, a return every 2 cm."""
     y, z = np.meshgrid(np.arange(-width, width, 0.02), np.arange(-height, height, 0.02))

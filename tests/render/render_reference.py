@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from docdepth.config import RenderParameters
@@ -63,25 +65,36 @@ def followed(points, classid, index, trajectory, track, parameters=None, time_of
     return RenderSweep(frame, parameters, None, dynamic_objects(frame, time, pose, Tracks([track])))
 
 
+def part_of(track, rows):
+    """A track in some of its sweeps."""
+    stamps = ("times", "poses", "velocities", "points", "deviations", "surface_deviations")
+    return replace(track, **{name: getattr(track, name)[rows] for name in stamps})
+
+
+def splats_of(camera, points, pose, sizes):
+    """Rows of the splats within an image, their pixels u and v, depths and sizes in pixels."""
+    f, T, (size_max, size_min) = np.float32, pose.astype(np.float32), sizes
+    fx, fy, cx, cy = (f(v) for v in camera.K[[0, 1, 0, 1], [0, 1, 2, 2]])
+    p, q, r = points.T
+    with np.errstate(all="ignore"):
+        x, y, z = (((T[i, 0] * p + T[i, 1] * q) + T[i, 2] * r) + T[i, 3] for i in range(3))
+        u = np.floor((fx * x) / z + cx + f(0.5))
+        v = np.floor((fy * y) / z + cy + f(0.5))
+        squared = ((x * x + y * y) + z * z).astype(np.float64)
+        sigma = np.where(
+            squared < 1.65**2, size_max, np.maximum(size_max / np.log(squared), size_min)
+        )
+        inside = (z > f(0.1)) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    rows = np.flatnonzero(inside)
+    size = np.floor(sigma[rows] + 0.5).astype(int)
+    return rows, u[rows].astype(int), v[rows].astype(int), z[rows], size
+
+
 def reference(camera, clouds):
     """Every splat pixel by pixel. clouds: (points, 4x4 pose, (size_max, size_min))."""
-    f = np.float32
-    fx, fy, cx, cy = (f(v) for v in camera.K[[0, 1, 0, 1], [0, 1, 2, 2]])
-    depth = np.full((camera.height, camera.width), np.inf, f)
-    for points, pose, (size_max, size_min) in clouds:
-        T = pose.astype(f)
-        p, q, r = points.T
-        with np.errstate(all="ignore"):
-            x, y, z = (((T[i, 0] * p + T[i, 1] * q) + T[i, 2] * r) + T[i, 3] for i in range(3))
-            u = np.floor((fx * x) / z + cx + f(0.5))
-            v = np.floor((fy * y) / z + cy + f(0.5))
-            squared = ((x * x + y * y) + z * z).astype(np.float64)
-            sigma = np.where(
-                squared < 1.65**2, size_max, np.maximum(size_max / np.log(squared), size_min)
-            )
-            inside = (z > f(0.1)) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-        size = np.floor(sigma[inside] + 0.5).astype(int)
-        u, v, z = u[inside].astype(int), v[inside].astype(int), z[inside]
+    depth = np.full((camera.height, camera.width), np.inf, np.float32)
+    for cloud in clouds:
+        _, u, v, z, size = splats_of(camera, *cloud)
         for h in np.unique(size):
             reach = np.arange(-h, h + 1)
             du, dv = np.meshgrid(reach, reach)

@@ -13,6 +13,7 @@ from render_reference import (
     compose_layers,
     followed,
     moving_track,
+    part_of,
     pixel_rays,
     render_sweep,
     straight,
@@ -242,8 +243,7 @@ def test_the_box_of_an_object_is_there_before_the_lidar_sees_it():
     """It comes over a hill at 20 m/s towards us: 2 s before its first return it is 40 m farther."""
     trajectory = straight(50, spacing=0.0)
     whole = moving_track(trajectory, (80, 0, -1.7), (-20, 0, 0), (4, 2, 1.5))
-    stamps = ("times", "poses", "velocities", "points", "deviations", "surface_deviations")
-    seen = replace(whole, **{name: getattr(whole, name)[25:] for name in stamps})
+    seen = part_of(whole, slice(25, None))
     for seconds, expected in ((0.5, 70.0), (0.1, 78.0)):
         view = VIEW._replace(time=round(seconds * 1e9))
         ((T_camera_box, *_),) = boxes_in_view(view, trajectory, Tracks([seen]))
@@ -256,8 +256,7 @@ def test_a_box_that_holds_the_camera_or_the_lidar_hides_nothing():
     """A lost track goes on through the place of the vehicle; its map was all but empty."""
     trajectory = straight(50, spacing=0.0)
     whole = moving_track(trajectory, (8, 0.3, -1.7), (-20, 0, 0), (4, 2, 1.5))
-    stamps = ("times", "poses", "velocities", "points", "deviations", "surface_deviations")
-    seen = replace(whole, **{name: getattr(whole, name)[:3] for name in stamps})
+    seen = part_of(whole, slice(3))
     # The camera looks from 3 m behind the LiDAR.
     behind = VIEW.T_camera_world.copy()
     behind[2, 3] = 3.0

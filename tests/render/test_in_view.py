@@ -13,6 +13,7 @@ from render_reference import (
     drawing,
     frame_of,
     moving_track,
+    part_of,
     small_camera,
     straight,
 )
@@ -96,19 +97,11 @@ def test_nothing_that_an_image_draws_is_left_out() -> None:
         )
         first = int(rng.integers(0, 35))
         rows = slice(first, int(rng.integers(first + 1, 41)))
-        poses = moving.poses[rows].copy()
+        track = part_of(moving, rows)
+        poses = track.poses.copy()
         poses[:, :3, :3] = [rotation_exp(rng.normal(0, 0.5, 3)) for _ in poses]
-        track = replace(
-            moving,
-            id=number,
-            kind=("vehicle", "person", "other")[number % 3],
-            times=moving.times[rows],
-            poses=poses,
-            velocities=moving.velocities[rows],
-            points=moving.points[rows],
-            deviations=moving.deviations[rows],
-            surface_deviations=moving.surface_deviations[rows],
-        )
+        kind = ("vehicle", "person", "other")[number % 3]
+        track = replace(track, id=number, kind=kind, poses=poses)
         shown = in_view_of(Tracks([track]), trajectory)
         reach = 500_000_000  # images up to five sweeps away may draw it
         times = [

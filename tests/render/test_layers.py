@@ -15,6 +15,7 @@ from render_reference import (
     moving_track,
     render_sweep,
     small_camera,
+    splats_of,
     straight,
 )
 
@@ -40,32 +41,20 @@ def test_layers_of_splats_equal_plain_numpy():
     for name in OF_SPLATS:
         np.testing.assert_array_equal(one[name], two[name])
 
-    f = np.float32
-    fx, fy, cx, cy = (f(v) for v in camera.K[[0, 1, 0, 1], [0, 1, 2, 2]])
     agreeing = [[[] for _ in range(camera.width)] for _ in range(camera.height)]
     seen_from = {}
     sweeps = [*static_sweeps(trajectory, time, PAPER), trajectory.nearest(time)]
-    for sweep, (points, pose, (largest, smallest)) in zip(sweeps, clouds, strict=True):
-        T = pose.astype(f)
-        p, q, r = points.T
-        with np.errstate(all="ignore"):
-            x, y, z = (((T[i, 0] * p + T[i, 1] * q) + T[i, 2] * r) + T[i, 3] for i in range(3))
-            u, v = np.floor((fx * x) / z + cx + f(0.5)), np.floor((fy * y) / z + cy + f(0.5))
-            squared = ((x * x + y * y) + z * z).astype(np.float64)
-            sigma = np.where(
-                squared < 1.65**2, largest, np.maximum(largest / np.log(squared), smallest)
-            )
-            inside = (z > f(0.1)) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-        for i in np.flatnonzero(inside):
-            h = int(sigma[i] + 0.5)
-            for b in range(max(int(v[i]) - h, 0), min(int(v[i]) + h + 1, camera.height)):
-                for a in range(max(int(u[i]) - h, 0), min(int(u[i]) + h + 1, camera.width)):
-                    if 9 * (a - u[i]) ** 2 + 4 * (b - v[i]) ** 2 > h * h:
+    for sweep, cloud in zip(sweeps, clouds, strict=True):
+        for i, u, v, z, h in zip(*splats_of(camera, *cloud), strict=True):
+            for b in range(max(v - h, 0), min(v + h + 1, camera.height)):
+                for a in range(max(u - h, 0), min(u + h + 1, camera.width)):
+                    if 9 * (a - u) ** 2 + 4 * (b - v) ** 2 > h * h:
                         continue
-                    if abs((z[i] - depth[b, a]) / depth[b, a]) <= f(0.02):
-                        agreeing[b][a].append(z[i])
-                    if z[i] == depth[b, a]:
-                        seen_from.setdefault((b, a), set()).add((sweep, np.linalg.norm(points[i])))
+                    if abs((z - depth[b, a]) / depth[b, a]) <= np.float32(0.02):
+                        agreeing[b][a].append(z)
+                    if z == depth[b, a]:
+                        distance = np.linalg.norm(cloud[0][i])
+                        seen_from.setdefault((b, a), set()).add((sweep, distance))
     counts = [[len(cell) for cell in row] for row in agreeing]
     np.testing.assert_array_equal(one["support"], counts)
     deviations = [[np.std(c, ddof=1) if len(c) > 1 else np.nan for c in row] for row in agreeing]

@@ -20,8 +20,8 @@ from render_reference import (
     straight,
 )
 
-from docdepth.config import RenderParameters, parameters, parse_settings
-from docdepth.errors import CalibrationError, ConfigError, InputError
+from docdepth.config import RenderParameters
+from docdepth.errors import CalibrationError, InputError
 from docdepth.geometry.camera import Camera
 from docdepth.render.selection import needed_sweeps, static_sweeps
 
@@ -56,20 +56,6 @@ def test_equals_plain_numpy_pixel_for_pixel(seed, sizes):
 def one_point(points, classid=50):
     points = np.asarray(points, dtype=np.float32).reshape(-1, 3)
     return render_sweep(points, np.full(len(points), classid, np.uint16), PAPER)
-
-
-def test_moving_points_come_from_the_sweep_nearest_in_time_only():
-    trajectory = straight(4)
-    asked = []
-
-    def frames(i):
-        asked.append(i)
-        return one_point([20 + i, 0, 0], classid=100)
-
-    depth = compose_depth(*drawing(frames, trajectory, 160_000_000, PAPER))
-    # Sweep 2 stands at 2 m and sees its point at 22 m; the camera stands at 1.6 m.
-    np.testing.assert_allclose(np.unique(depth[np.isfinite(depth)]), [22.4], rtol=1e-6)
-    assert set(asked) == {2, 3}  # static points: those after 1.6 - 0.5
 
 
 @pytest.mark.parametrize("parameters", [PAPER, TRIANGLES])
@@ -114,16 +100,6 @@ def test_the_crop_leaves_dynamic_points(parameters):
         depth = compose_depth(*drawing(frame, parameters=near))
         assert np.isfinite(depth).any() == drawn
         np.testing.assert_allclose(depth[np.isfinite(depth)], 20, rtol=1e-5)
-
-
-def test_sizes_are_pairs_of_pixels():
-    for size in ("[40, 2]", "40,2"):
-        changed = parameters("paper", parse_settings([f"render.static_size={size}"])).render
-        assert changed.static_size == (40.0, 2.0)
-        assert changed.dynamic_size == (80.0, 35.0)
-    for size in ("40", "[40]", "[40, 0]", "[40, 2, 1]"):
-        with pytest.raises(ConfigError, match=r"render\.static_size"):
-            parameters("paper", parse_settings([f"render.static_size={size}"]))
 
 
 @pytest.mark.skipif("DOCDEPTH_KITTI_RAW" not in os.environ, reason="DOCDEPTH_KITTI_RAW is not set")
