@@ -97,15 +97,6 @@ def test_outlines_grow_by_less_than_half_a_beam():
     assert 0.01 < beyond[1] < 0.5 * WIDTH * FRONT
 
 
-def test_echoes_within_a_pulse_merge():
-    sweep = sweep_of_plate(0.2, beam_width=WIDTH)
-    off = sweep.points[:, 0].astype(np.float64) - FRONT
-    between = (off > 0.02) & (off < 0.18)
-    assert between.sum() > 100
-    aside = np.abs(np.abs(sweep.points[between, 1:]) - HALF).min(axis=1)
-    assert aside.max() < 0.5 * WIDTH * (FRONT + 0.2)
-
-
 def test_a_written_drive_has_the_width_and_is_made_once(tmp_path):
     folder = write_drive(tmp_path, "city", "VLP-16", 2, images=False, beam_width_deg=0.2)
     assert "beam_width_deg: 0.2" in (folder / "docdepth.yaml").read_text()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +42,10 @@ class View:
 
 def photograph(world: World, camera: Camera, T_scene_camera: Floats, second: float) -> View:
     """Cast a ray through the centre of each pixel at one moment [s]."""
-    shape = (camera.height, camera.width)
-    local = _pixel_rays(camera.width, camera.height, tuple(camera.K.ravel().tolist()))
+    K, shape = camera.K, (camera.height, camera.width)
+    v, u = np.indices(shape, np.float64).reshape(2, -1)
+    x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
+    local = np.stack([x, y, np.ones(len(x))], axis=1) / np.sqrt(x * x + y * y + 1.0)[:, None]
     along = local[:, 2]  # depth of a point one metre along the ray
     directions = np.einsum("ij,kj->ki", T_scene_camera[:3, :3], local)
     origin = T_scene_camera[None, :3, 3]
@@ -58,17 +59,6 @@ def photograph(world: World, camera: Camera, T_scene_camera: Floats, second: flo
         hits.labels.reshape(shape),
         colour.reshape(*shape, 3),
     )
-
-
-@lru_cache(maxsize=4)
-def _pixel_rays(width: int, height: int, numbers: tuple[float, ...]) -> Floats:
-    """Unit vectors through the pixel centres, camera frame, row by row, (h * w, 3)."""
-    K = np.array(numbers).reshape(3, 3)
-    v, u = np.indices((height, width), dtype=np.float64).reshape(2, -1)
-    y = (v - K[1, 2]) / K[1, 1]
-    x = (u - K[0, 2] - K[0, 1] * y) / K[0, 0]
-    local = np.stack([x, y, np.ones(len(x))], axis=1)
-    return local / np.sqrt(x * x + y * y + 1.0)[:, None]
 
 
 def _shade(
