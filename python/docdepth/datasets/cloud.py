@@ -93,14 +93,9 @@ def rows_of(columns: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
 
 
 def cloud_from_fields(rows: NDArray[Any], where: str) -> Cloud:
-    """A cloud from rows with named fields.
+    """A cloud from rows with named fields x, y and z; ``where`` names file and frame.
 
-    Parameters
-    ----------
-    rows : structured ndarray, shape (N,)
-        Fields x, y, z; intensity, ring and time under any of their usual names.
-    where : str
-        File and frame, for messages.
+    Intensity, ring and time have any of their usual names.
     """
     names = {name.lower(): name for name in rows.dtype.names or ()}
     lacking = [axis for axis in "xyz" if axis not in names]

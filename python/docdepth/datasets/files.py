@@ -112,15 +112,9 @@ def one_of(root: Path, what: str, known: Sequence[str], wanted: str | None) -> s
 
 
 def extra(module: str, what: str, name: str) -> Any:
-    """The module of a library that comes in an extra of docdepth.
+    """The module of a library that comes in the extra ``name`` of docdepth.
 
-    Parameters
-    ----------
-    module : str
-    what : str
-        What needs it, as in "bags need rosbags".
-    name : str
-        Of the extra.
+    ``what`` needs it, as in "bags need rosbags": without it an error says how to install it.
     """
     try:
         with warnings.catch_warnings():

@@ -76,14 +76,7 @@ def sensor_rig(points: NDArray[np.float32]) -> SensorRig:
 def azimuth_relative_time(points: NDArray[np.float32]) -> NDArray[np.float32]:
     """When each point was measured by a LiDAR that turns clockwise and faces forward at its stamp.
 
-    Parameters
-    ----------
-    points : ndarray of float32, shape (N, 3)
-
-    Returns
-    -------
-    ndarray of float32, shape (N,)
-        Share of a revolution after the stamp, -0.5 to 0.5.
+    Shares (N,) of a revolution after the stamp, -0.5 to 0.5, of points (N, 3).
     """
     return np.arctan2(points[:, 1], points[:, 0]) * np.float32(-0.5 / np.pi)
 

@@ -28,18 +28,10 @@ _NAMES = {
 
 
 def foreign_format(content: bytes) -> str | None:
-    """The format of a sweep file that is not ``x y z reflectance`` as 4 float32.
+    """The format of the content of a sweep file that is not ``x y z reflectance`` as 4 float32.
 
-    Parameters
-    ----------
-    content : bytes
-        The whole file.
-
-    Returns
-    -------
-    str or None
-        For example ``5 float32 a point (nuScenes)``; None for the right format, and where no other
-        format clearly fits better.
+    For example ``5 float32 a point (nuScenes)``; None for the right format, and where no other
+    format clearly fits better.
     """
     floats = np.frombuffer(content, "<f4", len(content) // 4)
     if len(floats) < 4 * _FEWEST_POINTS:

@@ -40,23 +40,11 @@ _LONGEST_END = 150_000_000  # ns before the first pose and after the last one
 def read_pose_table(
     file: Path, columns: tuple[int, ...], remedy: str
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Read rows of a whole number, such as a stamp, and further numbers.
+    """Rows of a whole number, such as a stamp, and as many further numbers as ``columns`` allows.
 
-    Parameters
-    ----------
-    file : Path
-        Numbers between commas or blanks. A heading is left out, and so are rows with NaN: they are
-        times at which the pose is not known.
-    columns : tuple of int
-        How many numbers may follow the first one.
-    remedy : str
-        What to do if the file is missing or wrong.
-
-    Returns
-    -------
-    stamps : ndarray of int64, shape (n,)
-        Increasing; of rows with the same stamp the first one stays.
-    rows : ndarray of float64, shape (n, columns)
+    They stand between commas or blanks. A heading is left out, and so are rows with NaN: they are
+    times at which the pose is not known. Stamps (n,) increase, and of rows (n, columns) with the
+    same one the first stays.
     """
     stamps: list[int] = []
     rows: list[list[float]] = []
@@ -153,22 +141,11 @@ def poses_at(
     times: NDArray[np.int64],
     file: Path,
 ) -> NDArray[np.float64]:
-    """Poses at the times of the sweeps, interpolated; NaN where they are not known.
+    """Poses (m, 4, 4) at the times of the sweeps, interpolated; NaN where they are not known.
 
-    Parameters
-    ----------
-    stamps : ndarray of int64, shape (n,)
-        Nanoseconds of the poses, increasing.
-    poses : ndarray of float64, shape (n, 4, 4)
-    times : ndarray of int64, shape (m,)
-    file : Path
-        For messages.
-
-    Returns
-    -------
-    ndarray of float64, shape (m, 4, 4)
-        NaN before the first pose, after the last one, and between poses that are more than a
-        quarter of a second and a metre apart.
+    ``poses`` (n, 4, 4) hold at ``stamps`` (n,), increasing nanoseconds; ``file`` is for messages.
+    NaN are those before the first pose, after the last one, and between poses that are more than a
+    quarter of a second and a metre apart.
     """
     trajectory = Trajectory(stamps, _checked(poses, file))
     after = np.searchsorted(stamps, times).clip(1, max(len(stamps) - 1, 1)) % len(stamps)

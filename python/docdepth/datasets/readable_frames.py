@@ -23,7 +23,7 @@ def suggest_skipping() -> Iterator[None]:
 
 
 def first_readable(read: Callable[[_File], _Read], files: Sequence[_File]) -> _Read:
-    """What ``read`` gives for the first whole file."""
+    """What ``read`` gives for the first whole file; the error of the first if none is."""
     return next(iter(readable(lambda k: read(files[k]), [0], len(files)).values()))
 
 
@@ -33,21 +33,10 @@ def readable(
     count: int,
     broken: list[DocDepthError] | None = None,
 ) -> dict[int, _Read]:
-    """What ``read`` gives for some frames, or for frames near those that are broken.
+    """What ``read`` gives for frames that are ``wanted``, or for frames near those that are broken.
 
-    Parameters
-    ----------
-    read : callable
-    wanted : iterable of int
-    count : int
-        Frames that there are.
-    broken : list of DocDepthError, optional
-        Gets the errors of those that were wanted.
-
-    Returns
-    -------
-    dict
-        By frame, in order.
+    Of ``count`` frames; by frame, in order. ``broken`` gets the errors of those that were wanted.
+    If none around one of them can be read, its error is raised.
     """
     found: dict[int, _Read] = {}
     for index in wanted:

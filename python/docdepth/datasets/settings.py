@@ -107,10 +107,6 @@ class CameraSettings(Strict):
         numbers = self.distortion or ()
         return np.array(numbers) if self.model == "fisheye" or any(numbers) else None
 
-    def extrinsic(self, where: str) -> NDArray[np.float64]:
-        """``T_camera_lidar``, (4, 4)."""
-        return transform(self.T_camera_lidar, f"{where}: T_camera_lidar")
-
 
 class RecordingSettings(Strict):
     """What every recording takes.
@@ -252,15 +248,10 @@ def read_settings(
 
 
 def camera_mask(camera: Camera, mask: Mask) -> NDArray[np.bool_]:
-    """Pixels of a camera that show the world, (height, width).
+    """Pixels of a rectified camera that show the world, (height, width).
 
-    Parameters
-    ----------
-    camera : Camera
-        The rectified camera, whose pixels the mask has.
-    mask : Path, or list of (x, y)
-        An image of the camera's size that is black where nothing of the world is seen, as COLMAP
-        and nerfstudio take it; or the corners of a polygon around such pixels.
+    The mask is an image of the camera's size that is black where nothing of the world is seen, as
+    COLMAP and nerfstudio take it; or the corners of a polygon around such pixels.
     """
     if isinstance(mask, Path):
         seen = read_image(mask, cv2.IMREAD_GRAYSCALE) > 0

@@ -23,17 +23,9 @@ _TABLES = ("times.txt", "timestamps.txt")
 
 
 def read_times(path: Path) -> NDArray[np.int64]:
-    """Read times in nanoseconds, one a line.
+    """Read times (n,) in nanoseconds, one a line.
 
-    Parameters
-    ----------
-    path : Path
-        Lines of seconds like ``1317000000.123456789``, or dates like
-        ``2011-09-26 13:02:25.951199337``.
-
-    Returns
-    -------
-    ndarray of int64, shape (n,)
+    Lines are seconds like ``1317000000.123456789`` or dates like ``2011-09-26 13:02:25.951199337``.
     """
     return _parse(read_lines(path, "write one time a line, in seconds"), path)
 
@@ -49,6 +41,22 @@ def read_times_of(files: Sequence[Path], table: Path, what: str, remedy: str) ->
     times: NDArray[np.int64] = stamps[match_rows(files, len(stamps), table, what)]
     check_increasing(times, [file.name for file in files], table)
     return times
+
+
+def image_times(
+    table: Path,
+    images: Sequence[Path],
+    sweeps: Sequence[Path],
+    sweep_times: NDArray[np.int64],
+    remedy: str,
+) -> tuple[NDArray[np.int64], list[str]]:
+    """Nanoseconds and names of images by a table; of the sweeps where there are none of both."""
+    what = "stamps" if table.stem == "timestamps" else "times"
+    if not images and not is_there(table):
+        return sweep_times, [sweep.stem for sweep in sweeps]
+    digits = 10 if what == "stamps" else 6
+    files = images or [Path(f"{k:0{digits}d}") for k in range(len(read_lines(table, remedy)))]
+    return read_times_of(files, table, what, remedy), [file.stem for file in files]
 
 
 def _parse(lines: list[str], path: Path) -> NDArray[np.int64]:
@@ -127,14 +135,9 @@ def time_of_name(stem: str, digits: int = 9) -> int | None:
     """Nanoseconds since 1970 in a name: a whole number, or seconds and a fraction.
 
     ``1673400678101968885``, ``1547131046260961``, ``1583836591.18`` and
-    ``cloud_1583836591_182590976`` are understood. A number that begins with 0 only counts.
-
-    Parameters
-    ----------
-    stem : str
-    digits : int
-        9: what follows ``_`` are nanoseconds, as ROS writes them without leading zeros; 6:
-        microseconds; 3: milliseconds.
+    ``cloud_1583836591_182590976`` are understood. A number that begins with 0 only counts. What
+    follows ``_`` are nanoseconds, as ROS writes them without leading zeros, or of 6 ``digits``
+    microseconds, of 3 milliseconds.
     """
     parts = _SECONDS.search(stem)
     if parts:

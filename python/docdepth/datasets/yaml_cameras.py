@@ -14,7 +14,7 @@ from docdepth.datasets.base import CameraStream, ImageStream, LidarStream
 from docdepth.datasets.cloud import LidarReader
 from docdepth.datasets.kitti_files import agreed_size, image_files
 from docdepth.datasets.recording import Poses, Recording
-from docdepth.datasets.settings import CameraSettings, RecordingSettings
+from docdepth.datasets.settings import CameraSettings, RecordingSettings, transform
 from docdepth.datasets.times import read_times, times_of_files
 from docdepth.errors import Collector, DatasetError
 
@@ -107,7 +107,7 @@ def _camera(
     return CameraStream(
         name,
         settings.camera(size, where),
-        settings.extrinsic(where),
+        transform(settings.T_camera_lidar, f"{where}: T_camera_lidar"),
         times,
         names,
         images,

@@ -95,16 +95,9 @@ class FolderSettings(CameraRecordingSettings):
 class CloudFolder(Recording):
     """A folder of PCD, PLY, BIN, NPY, LAS or LAZ files, one a sweep.
 
-    Parameters
-    ----------
-    path : Path
-        The folder; its ``docdepth.yaml`` has the entries of :class:`FolderSettings`.
-    image_size : (int, int), optional
-        Width and height in pixels of cameras of which no more is known.
-    name : str
-        Of the format.
-    usual : dict, optional
-        Entries that the format has where ``docdepth.yaml`` leaves them out.
+    Its ``docdepth.yaml`` has the entries of :class:`FolderSettings`; ``usual`` are those that the
+    format ``name`` has where it leaves them out. ``image_size`` is width and height in pixels of
+    cameras of which no more is known.
     """
 
     def __init__(
@@ -230,11 +223,6 @@ class DynamicMap(CloudFolder):
 
     Points are in the world and are brought to the LiDAR frame by VIEWPOINT. Intensity is no
     intensity but the true class, 1 for what moves: :meth:`labels` has it.
-
-    Parameters
-    ----------
-    path : Path
-        The sequence; a ``docdepth.yaml`` as of :class:`~.folder.FolderSettings` may add cameras.
     """
 
     def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:

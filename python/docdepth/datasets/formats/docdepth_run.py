@@ -12,13 +12,11 @@ from docdepth.datasets.base import CameraStream, DatasetRepr, LidarStream, Sweep
 from docdepth.datasets.format import Format
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.errors import DamagedFileError
-from docdepth.geometry.points import DYNAMIC
+from docdepth.geometry.points import DYNAMIC, MOVING_LABEL, STATIC_LABEL
 from docdepth.io.depth import DESCRIPTION
 from docdepth.io.frames import read_frame_name, read_trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.yaml_json import parse_json
-
-_MOVING, _STATIC = 251, 9  # SemanticKITTI's labels of both
 
 
 class RunDataset(DatasetRepr):
@@ -115,7 +113,7 @@ class RunDataset(DatasetRepr):
         classid = self._run.frame(index).classid
         if classid is None:
             return None
-        return np.where(classid >= DYNAMIC, _MOVING, _STATIC).astype(np.uint32)
+        return np.where(classid >= DYNAMIC, MOVING_LABEL, STATIC_LABEL).astype(np.uint32)
 
 
 FORMAT: Format = Format(

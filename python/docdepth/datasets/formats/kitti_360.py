@@ -11,17 +11,12 @@ from docdepth.datasets import kitti_files
 from docdepth.datasets.base import CameraStream
 from docdepth.datasets.files import is_there, read_numbers
 from docdepth.datasets.format import Format
-from docdepth.datasets.formats.kitti_raw import (
-    KittiRaw,
-    image_size_of,
-    image_times,
-    lies_in_kitti_360,
-)
+from docdepth.datasets.formats.kitti_raw import EXPORT, KittiRaw, image_size_of, lies_in_kitti_360
 from docdepth.datasets.formats.mei_camera import read_mei
 from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.pose_tables import poses_at, poses_of_matrices, read_pose_table
 from docdepth.datasets.settings import transform
-from docdepth.datasets.times import times_of_names
+from docdepth.datasets.times import image_times, times_of_names
 from docdepth.errors import CalibrationError, Collector, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse
@@ -74,7 +69,9 @@ class Kitti360(KittiRaw):
             for number in numbers:
                 folder = self._beside("data_2d_raw") / f"image_{number}"
                 images = kitti_files.image_files(folder / "data_rect")
-                times, names = image_times(folder, images, sweeps, sweep_times)
+                times, names = image_times(
+                    folder / "timestamps.txt", images, sweeps, sweep_times, EXPORT
+                )
                 P = calibration.matrix(f"P_rect_{number}", 3, 4)
                 streams[folder.name] = CameraStream(
                     folder.name,
@@ -91,7 +88,9 @@ class Kitti360(KittiRaw):
                     lens = read_mei(calibration_file, _CALIBRATION)
                     folder = self._beside("data_2d_raw") / f"image_{name}"
                     images = kitti_files.image_files(folder / "data_rgb")
-                    times, names = image_times(folder, images, sweeps, sweep_times)
+                    times, names = image_times(
+                        folder / "timestamps.txt", images, sweeps, sweep_times, EXPORT
+                    )
                     streams[f"fisheye_{name}"] = CameraStream(
                         f"fisheye_{name}",
                         lens.pinhole,  # of its middle

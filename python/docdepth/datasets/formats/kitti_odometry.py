@@ -74,11 +74,6 @@ class KittiOdometry(Recording):
         them the size is guessed from the principal point, with a warning.
     name : str
         Name of the format: ``kitti_odometry`` or ``semantic_kitti``.
-
-    Raises
-    ------
-    DatasetError, CalibrationError
-        A file is missing, truncated or contradicts another one.
     """
 
     def __init__(

@@ -12,7 +12,7 @@ from docdepth.datasets import kitti_files
 from docdepth.datasets.base import CameraStream
 from docdepth.datasets.files import is_there, read_lines
 from docdepth.datasets.kitti_files import Calibration
-from docdepth.datasets.times import read_times_of
+from docdepth.datasets.times import image_times
 from docdepth.errors import CalibrationError, Collector, DatasetError
 from docdepth.geometry.camera import camera_of
 
@@ -59,9 +59,10 @@ def read_cameras(
             if size is None:
                 size = (round(2 * P[0, 2]), round(2 * P[1, 2]))
                 guessed.append(f"{folder.name} {size[0]}x{size[1]}")
-            times, names = sweep_times, [file.stem for file in sweeps]
-            if is_there(folder / "times.txt") or images[n]:
-                times, names = _image_times(folder, images[n])
+            table = folder / "times.txt"
+            if images[n] and not is_there(table):
+                table = sequence / "times.txt"
+            times, names = image_times(table, images[n], sweeps, sweep_times, REMEDY)
             streams[folder.name] = CameraStream(
                 name=folder.name,
                 camera=camera_of(P[:, :3], size, f"{calibration.file}: P{n}"),
@@ -79,16 +80,6 @@ def read_cameras(
             sequence, ", ".join(guessed),
         )  # fmt: skip
     return streams
-
-
-def _image_times(folder: Path, images: list[Path]) -> tuple[NDArray[np.int64], list[str]]:
-    """Times and names of the images: from the camera's own table, else from the sweeps'."""
-    table = folder / "times.txt"
-    if not is_there(table):
-        table = folder.parent / "times.txt"
-    elif not images:
-        images = [Path(f"{k:06d}") for k in range(len(read_lines(table, REMEDY)))]
-    return read_times_of(images, table, "times", REMEDY), [image.stem for image in images]
 
 
 def _distortion(file: Path) -> NDArray[np.float64] | None:

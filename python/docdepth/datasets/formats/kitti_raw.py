@@ -18,7 +18,7 @@ from docdepth.datasets.kitti_files import Calibration, camera_offset, in_order
 from docdepth.datasets.pose_tables import continue_ends, poses_at, poses_of_angles
 from docdepth.datasets.recording import Part, Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
-from docdepth.datasets.times import read_times_of
+from docdepth.datasets.times import image_times, read_times_of
 from docdepth.errors import CalibrationError, Collector, DatasetError, raise_together
 from docdepth.geometry.camera import camera_of
 from docdepth.geometry.se3 import inverse
@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 
 _RADIUS = 6378137.0  # metres, of the sphere of KITTI's Mercator projection
 _REMEDY = "unpack the 'synced+rectified data' of the drive again, or remove the folder oxts"
-_EXPORT = "KITTI keeps it beside the drive; unpack the 'synced+rectified data' of the drive again"
+EXPORT = "KITTI keeps it beside the drive; unpack the 'synced+rectified data' of the drive again"
 _CALIBRATION = "unpack the 'calibration' archive of that date beside its drives"
 
 
@@ -45,11 +45,6 @@ class KittiRaw(Recording):
         The drive.
     image_size : (int, int), optional
         Width and height in pixels, for a calibration without ``S_rect``.
-
-    Raises
-    ------
-    DatasetError, CalibrationError
-        A file is missing, truncated or contradicts another one.
     """
 
     name = "kitti_raw"
@@ -65,7 +60,7 @@ class KittiRaw(Recording):
             sweeps, broken = kitti_files.find_sweeps(velodyne / "data")
         times = np.arange(len(sweeps))
         with problems.collected():
-            times = _read_times(velodyne / "timestamps.txt", sweeps)
+            times = read_times_of(sweeps, velodyne / "timestamps.txt", "stamps", EXPORT)
         cameras = self._read_cameras(sweeps, times, image_size, problems)
         if problems.errors:
             raise_together([*broken, *problems.errors])
@@ -119,7 +114,9 @@ class KittiRaw(Recording):
                 folder = self.path / f"image_{number}"
                 images = kitti_files.image_files(folder / "data")
                 size = image_size_of(camera_file, number, images, image_size)
-                times, names = image_times(folder, images, sweeps, sweep_times)
+                times, names = image_times(
+                    folder / "timestamps.txt", images, sweeps, sweep_times, EXPORT
+                )
                 streams[folder.name] = CameraStream(
                     name=folder.name,
                     camera=camera_of(P[:, :3], size, f"{file}: P_rect_{number}"),
@@ -132,24 +129,6 @@ class KittiRaw(Recording):
             if not numbers:
                 raise CalibrationError(f"{file} has no camera (P_rect_NN); {_CALIBRATION}")
         return streams
-
-
-def _read_times(table: Path, files: list[Path]) -> NDArray[np.int64]:
-    """Nanoseconds since 1970 of each file, from lines like ``2011-09-26 13:02:25.951199337``."""
-    return read_times_of(files, table, "stamps", _EXPORT)
-
-
-def image_times(
-    folder: Path, images: list[Path], sweeps: list[Path], sweep_times: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], list[str]]:
-    """Times and names of the images; of the sweeps where the camera has no table."""
-    table = folder / "timestamps.txt"
-    if images:
-        return _read_times(table, images), [image.stem for image in images]
-    if is_there(table):
-        names = [f"{k:010d}" for k in range(len(read_lines(table, _EXPORT)))]
-        return _read_times(table, [Path(name) for name in names]), names
-    return sweep_times, [sweep.stem for sweep in sweeps]
 
 
 def image_size_of(

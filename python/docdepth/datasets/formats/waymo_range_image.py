@@ -42,13 +42,8 @@ class Beams:
 def points_in_vehicle(ranges: NDArray[np.float32], beams: Beams) -> NDArray[np.float64]:
     """Points (H, W, 3) in the frame of the vehicle when each pixel was measured; NaN without one.
 
-    Columns run clockwise from behind the vehicle, whatever way the LiDAR is turned on it.
-
-    Parameters
-    ----------
-    ranges : ndarray of float32, shape (H, W)
-        Metres; not positive where nothing returned.
-    beams : Beams
+    Columns run clockwise from behind the vehicle, whatever way the LiDAR is turned on it. Ranges
+    (H, W) are metres; not positive where nothing returned.
     """
     height, width = ranges.shape
     T = beams.T_vehicle_sensor
@@ -68,17 +63,11 @@ def compensated(
     pixel_poses: NDArray[np.float32],
     T_world_vehicle: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Points (H, W, 3) in the frame of the vehicle at the pose of the frame.
+    """Points (H, W, 3) in the frame of the vehicle at the pose of the frame, ``T_world_vehicle``.
 
-    Parameters
-    ----------
-    points : ndarray of float64, shape (H, W, 3)
-        In the frame of the vehicle at its pose when the pixel was measured.
-    pixel_poses : ndarray of float32, shape (H, W, 6)
-        That pose: roll, pitch and yaw in radians, x, y and z in metres. All zeros are no pose:
-        such points become NaN.
-    T_world_vehicle : ndarray of float64, shape (4, 4)
-        The pose of the frame.
+    They come in the frame of the vehicle at its pose when the pixel was measured. That is
+    ``pixel_poses`` (H, W, 6): roll, pitch and yaw in radians, x, y and z in metres. All zeros are
+    no pose: such points become NaN.
     """
     poses = pixel_poses.astype(np.float64)
     (sr, sp, sy), (cr, cp, cy) = (np.moveaxis(f(poses[..., :3]), -1, 0) for f in (np.sin, np.cos))

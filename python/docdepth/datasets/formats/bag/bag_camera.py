@@ -23,7 +23,7 @@ from docdepth.datasets.formats.bag.ros_images import (
     size_of,
 )
 from docdepth.datasets.images import StoredImage
-from docdepth.datasets.settings import CameraSettings
+from docdepth.datasets.settings import CameraSettings, transform
 from docdepth.errors import CalibrationError
 
 log = logging.getLogger(__name__)
@@ -127,7 +127,8 @@ def _extrinsic(
     opened: OpenedBag, lidar_frame: str, given: CameraSettings, camera_frame: str, topic: str
 ) -> NDArray[np.float64]:
     if given.T_camera_lidar is not None:
-        return given.extrinsic(f"{opened.settings.file}, {topic}")
+        where = f"{opened.settings.file}, {topic}: T_camera_lidar"
+        return transform(given.T_camera_lidar, where)
     T = None
     if camera_frame and lidar_frame:
         T = opened.frames.between(camera_frame, lidar_frame)

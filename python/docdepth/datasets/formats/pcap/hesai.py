@@ -142,10 +142,7 @@ def _since_first(rows: NDArray[np.void]) -> NDArray[np.int64]:
 def read_angles(file: Path) -> NDArray[np.float64]:
     """The angles of a unit's lasers, degrees, (32, 2), from the file that Hesai gives with it.
 
-    Parameters
-    ----------
-    file : Path
-        CSV with the columns Channel, Elevation and Azimuth, and a line for each laser.
+    A CSV with the columns Channel, Elevation and Azimuth, and a line for each laser.
     """
     lines = read_lines(file, "name the angle correction file (CSV) of the LiDAR")
     try:
