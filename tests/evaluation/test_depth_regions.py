@@ -108,6 +108,8 @@ def test_errors_by_region(layered, drive) -> None:
         elif name not in confident:
             chosen = p["class"] == names[name]
         same(errors, chosen)
+    for row in result.by_range:
+        same(row.figures, (p["true"] > row.near) & (p["true"] <= row.far))
     for row in result.by_edge_distance:
         same(row.figures, ((p["edge"] > row.near) | (row.near == 0)) & (p["edge"] <= row.far))
     assert sum(row.figures.pixels for row in result.by_edge_distance) == result.all.pixels

@@ -72,24 +72,6 @@ def test_depth_figures_are_those_of_kittis_kit(finished, pairs, mode) -> None:
         assert getattr(result.kitti, name) == pytest.approx(mean, rel=2e-5), name
 
 
-def test_depth_figures_by_range_and_density(finished, pairs) -> None:
-    folder, images = pairs
-    result = evaluate_depth(finished[0], folder)
-    d, p = (np.concatenate([pair[k].ravel() for pair in images]) for k in (0, 1))
-    assert result.density == pytest.approx(100 * np.mean(~np.isnan(p)))
-    assert result.density_on_surfaces == pytest.approx(100 * np.mean(~np.isnan(p[~np.isnan(d)])))
-    metrics = pytest.importorskip("sklearn.metrics")
-    for row in result.by_range:
-        inside = (d > row.near) & (d <= row.far)
-        both = inside & ~np.isnan(p)
-        assert (row.figures.pixels, row.figures.compared) == (inside.sum(), both.sum())
-        assert row.figures.mae == pytest.approx(metrics.mean_absolute_error(d[both], p[both]))
-        mse = metrics.mean_squared_error(d[both], p[both])
-        assert row.figures.rmse == pytest.approx(math.sqrt(mse))
-        assert row.figures.too_near == pytest.approx(100 * np.mean(p[both] < 0.95 * d[both]))
-        assert row.figures.too_far == pytest.approx(100 * np.mean(p[both] > 1.05 * d[both]))
-
-
 def same_shares(counts, true, said) -> None:
     """Points of one class, static or moving."""
     assert (counts.static, counts.dynamic) == ((~true).sum(), true.sum())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 
@@ -63,10 +64,11 @@ _STYLE = """
 """
 
 
+@dataclass
 class ErrorPage:
     """Gathers the worst images of an evaluation and writes the page.
 
-    Parameters
+    Attributes
     ----------
     title : str
     what : str
@@ -79,19 +81,14 @@ class ErrorPage:
         What the images are of.
     """
 
-    def __init__(
-        self,
-        title: str,
-        what: str,
-        titles: dict[str, str],
-        legends: dict[str, str],
-        bars: str,
-        images: str = "images",
-    ) -> None:
-        self._title, self._what, self._titles, self._legends = title, what, titles, legends
-        self._bars, self._images = bars, images
-        self._scores: list[tuple[str, float]] = []
-        self._worst: list[tuple[float, int, Leaf]] = []
+    title: str
+    what: str
+    titles: dict[str, str]
+    legends: dict[str, str]
+    bars: str
+    images: str = "images"
+    _scores: list[tuple[str, float]] = field(default_factory=list)
+    _worst: list[tuple[float, int, Leaf]] = field(default_factory=list)
 
     def add(
         self, name: str, score: float, caption: str, pictures: Callable[[], dict[str, Picture]]
@@ -114,13 +111,13 @@ class ErrorPage:
             There is a file that is no page of docdepth, or none can be written.
         """
         leaves = [leaf for _, _, leaf in self._worst]
-        parts = [head(self._title, FLIP_STYLE + _STYLE), f"<p>{escape(self._what)}</p>"]
+        parts = [head(self.title, FLIP_STYLE + _STYLE), f"<p>{escape(self.what)}</p>"]
         parts += [f"<p><b>warning:</b> {escape(line)}</p>" for line in found]
         if leaves:
             of = f"worst first, {len(leaves)} of {len(self._scores)}; keys: arrows and 1, 2, 3 ..."
-            book = flip_book(leaves, self._titles, self._legends, f"({of})")
-            parts += [f"<h2>The worst {self._images}</h2>", book]
-            parts += [f"<h2>All {self._images}</h2>", self._chart()]
+            book = flip_book(leaves, self.titles, self.legends, f"({of})")
+            parts += [f"<h2>The worst {self.images}</h2>", book]
+            parts += [f"<h2>All {self.images}</h2>", self._chart()]
         parts.append("<h2>Figures</h2>")
         for one in tables:
             parts += [f"<h3>{escape(one.title)}</h3>", table(one.header, one.rows)]
@@ -141,7 +138,7 @@ class ErrorPage:
         )
         first, last = self._scores[0][0], self._scores[-1][0]
         return (
-            f"<p>{escape(self._bars)}: {values.mean():.3g} on average, {values.max():.3g} in the "
+            f"<p>{escape(self.bars)}: {values.mean():.3g} on average, {values.max():.3g} in the "
             f"worst. From {escape(first)} to {escape(last)}:</p><div class=bars>{bars}</div>"
         )
 
