@@ -1,7 +1,9 @@
 #include <doctest/doctest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <functional>
+#include <utility>
 
 #include "../objects.hpp"
 #include "docdepth/paths/path_estimation.hpp"
@@ -99,6 +101,36 @@ TEST_CASE("a track that goes on with something else is cut there") {
   REQUIRE(std::holds_alternative<Cut>(found));
   const Cut cut = std::get<Cut>(found);
   CHECK(((cut.begin == 0 && cut.end == 10) || (cut.begin == 10 && cut.end == 20)));
+}
+
+TEST_CASE("a car that stops stays there, though only its side is seen, which tells nothing of it") {
+  Seen seen(24, [](double t) { return pose_at(std::min(10 * t, 10.0), 0); }, 4.4f, 1.8f);
+  for (ObservedSurface& surface : seen.surfaces) {
+    const ObservedSurface whole = std::exchange(surface, {});
+    for (std::size_t i = 0; i < whole.points.size(); ++i)
+      if (whole.normals[i].y() < -0.5f) surface.add(whole.points[i], whole.normals[i], 0);
+  }
+  const auto found = seen.estimate();
+  REQUIRE(std::holds_alternative<Path>(found));
+  const auto& states = std::get<Path>(found).states;
+  CHECK(states[23].position.x() - states[0].position.x() == doctest::Approx(10).epsilon(0.05));
+}
+
+TEST_CASE("a roof and the ground tell the height, each as well as it is known") {
+  const double rise = 0.02;  // of the surface, from sweep to sweep
+  Seen seen(20, straight(10), 4.4f, 1.8f);
+  for (int k = 0; k < 20; ++k) {
+    ObservedSurface& surface = seen.surfaces[std::size_t(k)];
+    exact::add_side(straight(10)(0.1 * k), {-2.2f, -0.9f, 1.6f}, {4.4f, 0, 0}, {0, 1.8f, 0},
+                    {0, 0, 1}, surface);
+    for (Eigen::Vector3f& point : surface.points) point.z() += float(rise * k);
+    seen.track.observations[std::size_t(k)].ground = {0, 0.02f};
+  }
+  const auto found = seen.estimate();
+  REQUIRE(std::holds_alternative<Path>(found));
+  const double height = std::get<Path>(found).states[19].position.z();
+  CHECK(height > 0.1 * 19 * rise);
+  CHECK(height < 0.8 * 19 * rise);
 }
 
 TEST_CASE("a path between and beyond its observations") {

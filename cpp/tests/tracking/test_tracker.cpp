@@ -84,6 +84,16 @@ TEST_CASE("two cars that meet are two tracks") {
   }
 }
 
+TEST_CASE("where two tracks lead to one object, the longer one goes on with it") {
+  const auto found = tracks(10, [](int k, Detections& seen) {
+    add_car(seen, 1.0 * k);
+    if (k == 5 || k == 6) add_car(seen, 7, 3.0 * (7 - k));
+  });
+  REQUIRE(found.size() == 2);
+  CHECK(sweeps_of(found[0]).size() == 10);
+  CHECK(sweeps_of(found[1]) == std::vector<std::size_t>{5, 6});
+}
+
 TEST_CASE("a car that is hidden for less than a second goes on, for longer it is lost") {
   const auto hidden = [](int sweeps) {
     return tracks(12 + std::size_t(sweeps), [sweeps](int k, Detections& seen) {
