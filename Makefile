@@ -118,7 +118,7 @@ cpp-test: dev
 sanitize: dev
 	$(BIN)/cmake -S . -B build/sanitize -G Ninja -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) \
 	  -DDOCDEPTH_WERROR=ON -DDOCDEPTH_PYTHON=OFF -DDOCDEPTH_TESTS=ON -DDOCDEPTH_SANITIZE=ON \
-	  -DDOCDEPTH_BENCHMARKS=ON -DCMAKE_BUILD_TYPE=RelWithDebInfo -DCMAKE_UNITY_BUILD=ON \
+	  -DCMAKE_BUILD_TYPE=RelWithDebInfo -DCMAKE_UNITY_BUILD=ON \
 	  -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1" $(addprefix -D,$(LAUNCHER))
 	$(BIN)/cmake --build build/sanitize
 	build/sanitize/docdepth_tests

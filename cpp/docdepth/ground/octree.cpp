@@ -1,6 +1,7 @@
 #include "docdepth/ground/octree.hpp"
 
 #include <algorithm>
+#include <bit>
 
 namespace docdepth {
 namespace {
@@ -59,7 +60,7 @@ void Octree::sort_blocks(VoxelMap& map, int threads) {
 void Octree::take_points(int threads) {
   starts_.resize(blocks_.size() + 1);
   for (std::size_t b = 0; b < blocks_.size(); ++b)
-    starts_[b + 1] = starts_[b] + count_bits(blocks_[b].block->occupied);
+    starts_[b + 1] = starts_[b] + std::popcount(blocks_[b].block->occupied);
   points_.resize(starts_.back());
   parallel_for(blocks_.size(), 4096, threads, [&](std::size_t begin, std::size_t end) {
     for (std::size_t b = begin; b < end; ++b) {

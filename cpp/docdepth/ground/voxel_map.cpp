@@ -1,6 +1,7 @@
 #include "docdepth/ground/voxel_map.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <stdexcept>
 
 #include "docdepth/geometry/parallel.hpp"
@@ -14,7 +15,6 @@ constexpr std::int64_t kMapReach = std::int64_t{1} << 20;
 /// Points whose hash slots are fetched ahead of use.
 constexpr std::size_t kPrefetchAhead = 8;
 constexpr double kLast = kMapReach - 0x1p-33;  // the last number below kMapReach
-constexpr const char* kTooFar = "a point is not finite or too far from the first pose";
 
 DOCDEPTH_KERNEL std::uint64_t hash(std::uint64_t key) {
   key *= 0x9e3779b97f4a7c15u;
@@ -28,10 +28,9 @@ std::uint32_t wider(std::uint32_t capacity) {
 }
 
 int rank(const VoxelBlock& block, std::uint32_t bit) {
-  return count_bits(block.occupied & ((std::uint64_t{1} << bit) - 1));
+  return std::popcount(block.occupied & ((std::uint64_t{1} << bit) - 1));
 }
 
-/// VoxelGrid::operator* and VoxelGrid::address() of many points.
 struct FindVoxels {
   DOCDEPTH_KERNEL static void run(std::size_t count, const float* points, const double (*r)[3],
                                   const double* t, double voxel_size, Addressed* __restrict found,
@@ -75,24 +74,10 @@ VoxelGrid::VoxelGrid(const Pose& T, const Eigen::Vector3d& origin, double voxel_
   }
 }
 
-VoxelAddress VoxelGrid::address(const Eigen::Vector3d& p) const {
-  std::uint64_t key = 0;
-  std::uint32_t bit = 0;
-  for (int i = 0; i < 3; ++i) {
-    const double cell = p[i] / voxel_size_;
-    if (!(cell >= -kMapReach && cell < kMapReach)) throw std::out_of_range(kTooFar);
-    auto index = static_cast<std::int64_t>(cell);
-    index += kMapReach - (static_cast<double>(index) > cell);  // floor
-    key = key << 19 | static_cast<std::uint64_t>(index >> 2);
-    bit = bit << 2 | static_cast<std::uint32_t>(index & 3);
-  }
-  return {key, static_cast<std::uint32_t>(hash(key) >> 60), bit};
-}
-
 void VoxelGrid::find(const float* points, std::size_t count, Addressed& found) const {
   bool far;
   dispatch<FindVoxels>(count, points, r_, t_, voxel_size_, &found, &far);
-  if (far) throw std::out_of_range(kTooFar);
+  if (far) throw std::out_of_range("a point is not finite or too far from the first pose");
 }
 
 const VoxelBlock* VoxelMap::Shard::find(std::uint64_t key) const {
@@ -159,7 +144,7 @@ void VoxelMap::Shard::add(std::uint64_t key, std::uint32_t bit, const Eigen::Vec
     voxel.count += 1.0;
     return;
   }
-  const auto used = static_cast<std::uint32_t>(count_bits(block.occupied));
+  const auto used = static_cast<std::uint32_t>(std::popcount(block.occupied));
   if (used == block.capacity) widen(block, used);
   const auto begin = voxels.begin() + block.first;
   std::copy_backward(begin + place, begin + used, begin + used + 1);

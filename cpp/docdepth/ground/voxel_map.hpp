@@ -18,13 +18,6 @@ struct Voxel {
   Eigen::Vector3d mean() const { return sum / count; }
 };
 
-inline int count_bits(std::uint64_t bits) {
-  bits -= (bits >> 1) & 0x5555555555555555u;
-  bits = (bits & 0x3333333333333333u) + ((bits >> 2) & 0x3333333333333333u);
-  bits = (bits + (bits >> 4)) & 0x0f0f0f0f0f0f0f0fu;
-  return static_cast<int>((bits * 0x0101010101010101u) >> 56);
-}
-
 /// 4 x 4 x 4 voxels. Neighbouring returns fall into the same block, which is then in the cache, and
 /// 32 bytes tell for 64 voxels what is occupied and what is ground.
 struct VoxelBlock {
@@ -35,14 +28,8 @@ struct VoxelBlock {
   std::uint32_t capacity = 0;
 };
 
-/// The block of a point, and the bit of its voxel within that.
-struct VoxelAddress {
-  std::uint64_t key;
-  std::uint32_t shard;
-  std::uint32_t bit;
-};
-
-/// The points that a thread takes at once, relative to the origin, and their voxels.
+/// The points that a thread takes at once, relative to the origin, the blocks that hold them, and
+/// the bits of their voxels within these.
 struct Addressed {
   static constexpr std::size_t kMost = 2048;
 
@@ -51,7 +38,6 @@ struct Addressed {
   std::uint32_t shard[kMost], bit[kMost];
 
   Eigen::Vector3d point(std::size_t i) const { return {x[i], y[i], z[i]}; }
-  VoxelAddress address(std::size_t i) const { return {key[i], shard[i], bit[i]}; }
 };
 
 /// Takes points to world coordinates relative to an origin, in double precision and in the order of
@@ -60,17 +46,11 @@ class VoxelGrid {
  public:
   VoxelGrid(const Pose& T_world_lidar, const Eigen::Vector3d& origin, double voxel_size);
 
-  Eigen::Vector3d operator*(const float* p) const { return {row(0, p), row(1, p), row(2, p)}; }
-  /// @throws std::out_of_range a point is not finite or too far from the origin.
-  VoxelAddress address(const Eigen::Vector3d& p) const;
-  /// Both for up to Addressed::kMost points: the same result, many times faster.
+  /// Up to Addressed::kMost points.
+  /// @throws std::out_of_range a point is not finite or too far from the origin
   void find(const float* points, std::size_t count, Addressed& found) const;
 
  private:
-  double row(int i, const float* p) const {
-    return ((r_[i][0] * p[0] + r_[i][1] * p[1]) + r_[i][2] * p[2]) + t_[i];
-  }
-
   double r_[3][3];
   double t_[3];
   double voxel_size_;
