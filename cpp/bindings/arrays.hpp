@@ -1,5 +1,6 @@
-// numpy arrays in and out of the core. Their shapes, rows and poses are checked here, as what does
-// not fit would be read beyond its end. Parameters are checked by config.py.
+// numpy arrays in and out of the core. Their shapes, rows and poses are checked
+// here, as what does not fit would be read beyond its end. Parameters are
+// checked by config.py.
 #pragma once
 
 #include <pybind11/numpy.h>
@@ -15,14 +16,15 @@
 #include <vector>
 
 #include "docdepth/geometry/types.hpp"
-#include "docdepth/mesh/constants.hpp"
+#include "docdepth/mesh/directions.hpp"
 #include "docdepth/mesh/scan_mesh.hpp"
 
 namespace docdepth::bindings {
 
 namespace py = pybind11;
 
-// No forcecast: a wrong dtype is an error. Vectors of the compiler need aligned values.
+// No forcecast: a wrong dtype is an error. Vectors of the compiler need aligned
+// values.
 template <class T>
 using Array =
     py::array_t<T, int(py::array::c_style) | int(py::detail::npy_api::NPY_ARRAY_ALIGNED_)>;
@@ -33,7 +35,8 @@ constexpr std::int64_t kMaxRows = 0x7fffffff;  ///< rows are numbered by 32 bits
 constexpr double kMaxTranslation = 1e8;        ///< of a pose [m]: beyond UTM coordinates
 constexpr double kOrthogonal = 1e-3;           ///< of rotations, as in geometry/se3.py
 
-/// @throws std::invalid_argument the number is outside of its range, or not a number
+/// @throws std::invalid_argument the number is outside of its range, or not a
+/// number
 template <class Number>
 Number in_range(Number value, double low, double high, const char* name) {
   if (static_cast<double>(value) >= low && static_cast<double>(value) <= high) return value;
@@ -49,7 +52,8 @@ inline PointMap as_points(const Array<float>& array, const char* name = "points"
   return PointMap(array.data(), array.shape(0), 3);
 }
 
-/// A pose of 16 values, row after row. Rows and cells of images are computed with it.
+/// A pose of 16 values, row after row. Rows and cells of images are computed
+/// with it.
 inline Pose checked_pose(const double* values) {
   Pose pose;
   pose.matrix() = Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(values);
@@ -79,7 +83,8 @@ inline std::vector<Pose> as_poses(const Array<double>& array) {
   return poses;
 }
 
-/// View of a one-dimensional array of `size` elements, or an error that names it.
+/// View of a one-dimensional array of `size` elements, or an error that names
+/// it.
 template <class T>
 const T* as_column(const Array<T>& array, py::ssize_t size, const char* name) {
   if (array.ndim() != 1 || array.shape(0) != size)
@@ -88,7 +93,8 @@ const T* as_column(const Array<T>& array, py::ssize_t size, const char* name) {
   return array.data();
 }
 
-/// View of one flag per point. Other bytes than 0 and 1 (a view of other integers) are no bool.
+/// View of one flag per point. Other bytes than 0 and 1 (a view of other
+/// integers) are no bool.
 inline const bool* as_flags(const Array<bool>& array, py::ssize_t size, const char* name) {
   const bool* flags = as_column(array, size, name);
   const auto* bytes = static_cast<const unsigned char*>(static_cast<const void*>(flags));
@@ -107,7 +113,8 @@ inline const std::uint32_t* as_rows(const Array<std::uint32_t>& array, py::ssize
   return array.data();
 }
 
-/// Refuse coordinates that are not finite or too large for any map in single precision.
+/// Refuse coordinates that are not finite or too large for any map in single
+/// precision.
 inline void check_coordinates(const Array<float>& array, const char* name) {
   for (py::ssize_t i = 0; i < array.size(); ++i)
     if (!(std::fabs(array.data()[i]) < kMaxRange))
@@ -120,9 +127,17 @@ inline void check_mesh(const ScanMesh& mesh, py::ssize_t rows) {
     throw std::invalid_argument("the mesh was made of another number of points");
 }
 
-/// Hand a vector over to numpy, without a copy.
+/// What some work results in, while other threads of Python go on.
+template <class Work>
+auto without_gil(const Work& work) {
+  const py::gil_scoped_release release;
+  return work();
+}
+
+/// Hand a vector over to numpy, without a copy; by default as one dimension.
 template <class T>
-py::array_t<T> to_numpy(std::vector<T>&& values, std::vector<py::ssize_t> shape) {
+py::array_t<T> to_numpy(std::vector<T>&& values, std::vector<py::ssize_t> shape = {}) {
+  if (shape.empty()) shape.push_back(static_cast<py::ssize_t>(values.size()));
   auto* owner = new std::vector<T>(std::move(values));
   py::capsule free(owner, [](void* p) { delete static_cast<std::vector<T>*>(p); });
   return py::array_t<T>(std::move(shape), owner->data(), free);

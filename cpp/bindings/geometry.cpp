@@ -7,14 +7,8 @@ namespace {
 
 py::tuple find_nearest(const Array<float>& points, const Array<float>& queries, int threads) {
   const PointMap map = as_points(points), wanted = as_points(queries, "queries");
-  NearestNeighbors found;
-  {
-    const py::gil_scoped_release release;
-    found = nearest_neighbors(map, wanted, threads);
-  }
-  const auto count = static_cast<py::ssize_t>(wanted.rows());
-  return py::make_tuple(to_numpy(std::move(found.index), {count}),
-                        to_numpy(std::move(found.distance), {count}));
+  NearestNeighbors found = without_gil([&] { return nearest_neighbors(map, wanted, threads); });
+  return py::make_tuple(to_numpy(std::move(found.index)), to_numpy(std::move(found.distance)));
 }
 
 py::tuple thin_sweep(const Array<float>& points, const Array<float>& times, float size,
@@ -22,16 +16,13 @@ py::tuple thin_sweep(const Array<float>& points, const Array<float>& times, floa
   const PointMap map = as_points(points);
   const float* column = as_column(times, map.rows(), "times");
   in_range(size, 1e-3, 100, "size");
-  TimedPoints means;
-  {
-    const py::gil_scoped_release release;
-    means = downsample_sweep(map, column, size, min_range, max_range);
-  }
+  TimedPoints means =
+      without_gil([&] { return downsample_sweep(map, column, size, min_range, max_range); });
   const auto count = static_cast<py::ssize_t>(means.points.size());
   Array<float> thinned({count, py::ssize_t{3}});
   for (py::ssize_t i = 0; i < count; ++i)
     for (int axis = 0; axis < 3; ++axis) thinned.mutable_at(i, axis) = means.points[i][axis];
-  return py::make_tuple(thinned, to_numpy(std::move(means.times), {count}));
+  return py::make_tuple(thinned, to_numpy(std::move(means.times)));
 }
 
 }  // namespace

@@ -16,7 +16,8 @@ std::unique_ptr<ScanMesh> make_mesh(const Array<float>& points, const MeshParame
   return std::make_unique<ScanMesh>(build_scan_mesh(map, parameters));
 }
 
-/// Join the meshes of several LiDARs into one. Each uses its own rows of the same points.
+/// Join the meshes of several LiDARs into one. Each uses its own rows of the
+/// same points.
 std::unique_ptr<ScanMesh> join_meshes(const std::vector<ScanMesh*>& meshes) {
   auto joined = std::make_unique<ScanMesh>();
   const auto append = [](auto& to, const auto& from) {

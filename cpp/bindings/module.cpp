@@ -7,11 +7,12 @@ void bind_mesh(pybind11::module_& m);
 void bind_voting(pybind11::module_& m);
 void bind_objects(pybind11::module_& m);
 void bind_render(pybind11::module_& m);
-void bind_gl(pybind11::module_& m);
 }  // namespace docdepth::bindings
 
 PYBIND11_MODULE(_core, m) {
-  m.doc() = "C++ core of docdepth; use the documented functions of docdepth.* instead.";
+  m.doc() =
+      "C++ core of docdepth; use the documented functions of docdepth.* "
+      "instead.";
   m.attr("__version__") = DOCDEPTH_VERSION;
   docdepth::bindings::bind_geometry(m);
   docdepth::bindings::bind_ground(m);
@@ -19,5 +20,4 @@ PYBIND11_MODULE(_core, m) {
   docdepth::bindings::bind_voting(m);
   docdepth::bindings::bind_objects(m);
   docdepth::bindings::bind_render(m);
-  docdepth::bindings::bind_gl(m);
 }

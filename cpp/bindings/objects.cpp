@@ -1,5 +1,6 @@
 #include <pybind11/stl.h>
 
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <memory>
@@ -17,7 +18,8 @@ PYBIND11_MAKE_OPAQUE(docdepth::Detections)
 namespace docdepth::bindings {
 namespace {
 
-// Rows of the structured arrays that cross the border: fields of four bytes, so without gaps.
+// Rows of the structured arrays that cross the border: fields of four bytes, so
+// without gaps.
 
 /// A detection, without its samples and borders.
 struct DetectionRow {
@@ -25,15 +27,19 @@ struct DetectionRow {
   std::uint32_t samples, edges, hidden;  ///< how many of them it has
   std::int32_t first_occupied, last_occupied, stands_since, stands_until;
   float area, dynamic_area, free_area, time_offset;
-  float middle[3], ground_height, ground_deviation, low[3], high[3];
+  std::array<float, 3> middle;
+  float ground_height, ground_deviation;
+  std::array<float, 3> low, high;
 };
 
 struct SampleRow {
-  float point[3], normal[3], time;
+  std::array<float, 3> point, normal;
+  float time;
 };
 
 struct BorderRow {
-  float point[3], time;
+  std::array<float, 3> point;
+  float time;
 };
 
 struct MemberRow {
@@ -42,20 +48,40 @@ struct MemberRow {
 
 struct BoxRow {
   std::uint32_t track, is_moving;
-  float T_box_world[3][4], half_size[3];
+  float T_box_world[3][4];
+  std::array<float, 3> half_size;
 };
 
 using Rows3x4 = Eigen::Matrix<float, 3, 4, Eigen::RowMajor>;
 
-void copy(const Eigen::Vector3f& vector, float (&values)[3]) {
-  Eigen::Map<Eigen::Vector3f>{values} = vector;
+std::array<float, 3> as_array(const Eigen::Vector3f& v) {
+  return {v.x(), v.y(), v.z()};
 }
 
-Eigen::Vector3f as_vector(const float (&values)[3]) {
-  const Eigen::Vector3f vector{Eigen::Map<const Eigen::Vector3f>(values)};
+Eigen::Vector3f as_vector(const std::array<float, 3>& values) {
+  const Eigen::Vector3f vector(values[0], values[1], values[2]);
   if (!(vector.array().abs() < kMaxRange).all())
     throw std::invalid_argument("coordinates must be finite and below 1e6 m");
   return vector;
+}
+
+/// Assign the values that a detection and its row have in common, one way or
+/// the other.
+template <class Row, class Object, class Assign>
+void assign_values(Row& row, Object& object, const Assign& assign) {
+  assign(row.first, object.first);
+  assign(row.points, object.points);
+  assign(row.dynamic_points, object.dynamic_points);
+  assign(row.first_occupied, object.first_occupied);
+  assign(row.last_occupied, object.last_occupied);
+  assign(row.stands_since, object.stands_since);
+  assign(row.stands_until, object.stands_until);
+  assign(row.area, object.area);
+  assign(row.dynamic_area, object.dynamic_area);
+  assign(row.free_area, object.free_area);
+  assign(row.time_offset, object.time_offset);
+  assign(row.ground_height, object.ground.value);
+  assign(row.ground_deviation, object.ground.deviation);
 }
 
 /// One row after the other, checked for the end.
@@ -72,13 +98,8 @@ class Rows {
   const Row *next_, *end_;
 };
 
-template <class Row>
-py::array_t<Row> rows_to_numpy(std::vector<Row>&& rows) {
-  const auto count = static_cast<py::ssize_t>(rows.size());
-  return to_numpy(std::move(rows), {count});
-}
-
-/// The object of each point, as the row of its first point, which comes before or at the point.
+/// The object of each point, as the row of its first point, which comes before
+/// or at the point.
 const std::uint32_t* as_object_column(const Array<std::uint32_t>& array, py::ssize_t size) {
   const std::uint32_t* objects = as_column(array, size, "objects");
   for (py::ssize_t i = 0; i < size; ++i)
@@ -124,12 +145,7 @@ py::array_t<std::uint32_t> objects_of(const Array<float>& points, const Array<bo
   const PointMap map = as_points(points);
   check_mesh(mesh, map.rows());
   const bool* flags = as_flags(ground, map.rows(), "ground");
-  std::vector<std::uint32_t> objects;
-  {
-    const py::gil_scoped_release release;
-    objects = cluster_objects(map, flags, mesh);
-  }
-  return to_numpy(std::move(objects), {static_cast<py::ssize_t>(map.rows())});
+  return to_numpy(without_gil([&] { return cluster_objects(map, flags, mesh); }));
 }
 
 py::array_t<std::uint8_t> classified(const Array<float>& points, const Array<bool>& ground,
@@ -140,13 +156,10 @@ py::array_t<std::uint8_t> classified(const Array<float>& points, const Array<boo
   const VotedSweep sweep(points, ground, static_votes, dynamic_votes);
   check_mesh(mesh, sweep.points.rows());
   const std::uint32_t* first = as_object_column(objects, sweep.points.rows());
-  std::vector<std::uint8_t> dynamic;
-  {
-    const py::gil_scoped_release release;
-    dynamic = classify_objects(sweep.points, sweep.ground, first, sweep.static_votes,
-                               sweep.dynamic_votes, mesh, options);
-  }
-  return to_numpy(std::move(dynamic), {static_cast<py::ssize_t>(sweep.points.rows())});
+  return to_numpy(without_gil([&] {
+    return classify_objects(sweep.points, sweep.ground, first, sweep.static_votes,
+                            sweep.dynamic_votes, mesh, options);
+  }));
 }
 
 py::array_t<std::uint8_t> with_isolated(const Array<float>& points, const Array<bool>& ground,
@@ -157,12 +170,11 @@ py::array_t<std::uint8_t> with_isolated(const Array<float>& points, const Array<
   const VotedSweep sweep(points, ground, static_votes, dynamic_votes);
   const std::uint32_t* first = as_object_column(objects, sweep.points.rows());
   std::vector<std::uint8_t> result = copy_flags(dynamic, sweep.points.rows(), "dynamic");
-  {
-    const py::gil_scoped_release release;
+  without_gil([&] {
     add_isolated_points(sweep.points, sweep.ground, first, sweep.static_votes, sweep.dynamic_votes,
                         result);
-  }
-  return to_numpy(std::move(result), {static_cast<py::ssize_t>(sweep.points.rows())});
+  });
+  return to_numpy(std::move(result));
 }
 
 py::array_t<std::uint8_t> with_inside(const Array<float>& points, const Array<bool>& ground,
@@ -176,12 +188,11 @@ py::array_t<std::uint8_t> with_inside(const Array<float>& points, const Array<bo
   const std::vector<OrientedBox> oriented = as_oriented_boxes(boxes);
   const std::vector<std::uint64_t> sorted(voxels.data(), voxels.data() + voxels.size());
   std::vector<std::uint8_t> result = copy_flags(dynamic, sweep.points.rows(), "dynamic");
-  {
-    const py::gil_scoped_release release;
+  without_gil([&] {
     add_points_inside(sweep.points, sweep.ground, sweep.static_votes, sweep.dynamic_votes,
                       T_world_lidar, oriented, sorted, result);
-  }
-  return to_numpy(std::move(result), {static_cast<py::ssize_t>(sweep.points.rows())});
+  });
+  return to_numpy(std::move(result));
 }
 
 std::shared_ptr<Detections> make_detections(const Array<float>& points, const Array<bool>& ground,
@@ -209,55 +220,31 @@ std::shared_ptr<Detections> make_detections(const Array<float>& points, const Ar
   return std::make_shared<Detections>(detect_objects(map, evidence, mesh, T_world_lidar));
 }
 
-DetectionRow row_of(const Detection& object) {
-  DetectionRow row{.first = object.first,
-                   .points = object.points,
-                   .dynamic_points = object.dynamic_points,
-                   .samples = static_cast<std::uint32_t>(object.samples().size()),
-                   .edges = static_cast<std::uint32_t>(object.edges.points.size()),
-                   .hidden = static_cast<std::uint32_t>(object.hidden.points.size()),
-                   .first_occupied = object.first_occupied,
-                   .last_occupied = object.last_occupied,
-                   .stands_since = object.stands_since,
-                   .stands_until = object.stands_until,
-                   .area = object.area,
-                   .dynamic_area = object.dynamic_area,
-                   .free_area = object.free_area,
-                   .time_offset = object.time_offset,
-                   .middle = {},
-                   .ground_height = object.ground.value,
-                   .ground_deviation = object.ground.deviation,
-                   .low = {},
-                   .high = {}};
-  copy(object.middle, row.middle);
-  copy(object.box.low, row.low);
-  copy(object.box.high, row.high);
-  return row;
-}
-
-/// Detections as arrays of DetectionRow, SampleRow and BorderRow. Samples and borders are those of
-/// one detection after the other; its edges come before its hidden borders.
+/// Detections as arrays of DetectionRow, SampleRow and BorderRow. Samples and
+/// borders are those of one detection after the other; its edges come before
+/// its hidden borders.
 py::tuple arrays_of(const Detections& detections) {
   std::vector<DetectionRow> rows;
   std::vector<SampleRow> samples;
   std::vector<BorderRow> borders;
   for (const Detection& object : detections) {
-    rows.push_back(row_of(object));
-    for (std::size_t i = 0; i < object.samples().size(); ++i) {
-      SampleRow& sample = samples.emplace_back();
-      copy(object.samples()[i], sample.point);
-      copy(object.surface.normals[i], sample.normal);
-      sample.time = object.surface.times[i];
-    }
+    DetectionRow& row = rows.emplace_back();
+    assign_values(row, object, [](auto& to, const auto& from) { to = from; });
+    row.middle = as_array(object.middle);
+    row.low = as_array(object.box.low);
+    row.high = as_array(object.box.high);
+    row.samples = static_cast<std::uint32_t>(object.samples().size());
+    row.edges = static_cast<std::uint32_t>(object.edges.points.size());
+    row.hidden = static_cast<std::uint32_t>(object.hidden.points.size());
+    for (std::size_t i = 0; i < object.samples().size(); ++i)
+      samples.push_back({as_array(object.samples()[i]), as_array(object.surface.normals[i]),
+                         object.surface.times[i]});
     for (const TimedPoints* border : {&object.edges, &object.hidden})
-      for (std::size_t i = 0; i < border->points.size(); ++i) {
-        BorderRow& row = borders.emplace_back();
-        copy(border->points[i], row.point);
-        row.time = border->times[i];
-      }
+      for (std::size_t i = 0; i < border->points.size(); ++i)
+        borders.push_back({as_array(border->points[i]), border->times[i]});
   }
-  return py::make_tuple(rows_to_numpy(std::move(rows)), rows_to_numpy(std::move(samples)),
-                        rows_to_numpy(std::move(borders)));
+  return py::make_tuple(to_numpy(std::move(rows)), to_numpy(std::move(samples)),
+                        to_numpy(std::move(borders)));
 }
 
 std::shared_ptr<Detections> detections_of(const Array<DetectionRow>& rows,
@@ -271,19 +258,8 @@ std::shared_ptr<Detections> detections_of(const Array<DetectionRow>& rows,
     const DetectionRow& row = objects.next();
     if (row.points == 0 || row.samples == 0)
       throw std::invalid_argument("a detection has points and samples");
-    object.first = row.first;
-    object.points = row.points;
-    object.dynamic_points = row.dynamic_points;
-    object.area = row.area;
-    object.dynamic_area = row.dynamic_area;
-    object.free_area = row.free_area;
-    object.first_occupied = row.first_occupied;
-    object.last_occupied = row.last_occupied;
-    object.stands_since = row.stands_since;
-    object.stands_until = row.stands_until;
-    object.time_offset = row.time_offset;
-    object.middle = Eigen::Map<const Eigen::Vector3f>(row.middle);
-    object.ground = {row.ground_height, row.ground_deviation};
+    assign_values(row, object, [](const auto& from, auto& to) { to = from; });
+    object.middle = Eigen::Map<const Eigen::Vector3f>(row.middle.data());
     object.box = {as_vector(row.low), as_vector(row.high)};
     for (std::uint32_t i = 0; i < row.samples; ++i) {
       const SampleRow& sample = surfaces.next();
@@ -310,37 +286,37 @@ py::tuple sweep_of(const TrackedSweep& sweep) {
     row.track = tracked.track;
     row.is_moving = tracked.is_moving;
     Eigen::Map<Rows3x4>{row.T_box_world[0]} = tracked.box.T_box_world.affine();
-    copy(tracked.box.half, row.half_size);
+    row.half_size = as_array(tracked.box.half);
   }
-  return py::make_tuple(rows_to_numpy(std::move(members)), rows_to_numpy(std::move(boxes)),
-                        rows_to_numpy(std::vector<std::uint64_t>(sweep.voxels)));
+  return py::make_tuple(to_numpy(std::move(members)), to_numpy(std::move(boxes)),
+                        to_numpy(std::vector<std::uint64_t>(sweep.voxels)));
 }
 
 py::tuple object_of(const TrackedObject& object) {
-  std::vector<std::int64_t> sweeps, points;
-  std::vector<double> poses, velocities, deviations, surface_deviations;
-  for (const auto& place : object.places) {
-    sweeps.push_back(place.sweep);
-    points.push_back(place.points);
-    const Eigen::Matrix<double, 4, 4, Eigen::RowMajor> T = place.T_world_object.matrix();
-    poses.insert(poses.end(), T.data(), T.data() + T.size());
-    velocities.insert(velocities.end(), place.velocity.data(), place.velocity.data() + 3);
-    deviations.push_back(place.deviation);
-    surface_deviations.push_back(place.surface_deviation);
-  }
   const auto count = static_cast<py::ssize_t>(object.places.size());
-  const std::vector<double> size{object.size.x(), object.size.y(), object.size.z()};
-  return py::make_tuple(
-      to_numpy(std::move(sweeps), {count}), to_numpy(std::move(points), {count}),
-      to_numpy(std::move(poses), {count, 4, 4}), to_numpy(std::move(velocities), {count, 3}),
-      to_numpy(std::move(deviations), {count}), to_numpy(std::move(surface_deviations), {count}),
-      to_numpy(std::vector<double>(size), {3}), object.rigid);
+  Array<std::int64_t> sweeps(count), points(count);
+  Array<double> poses({count, py::ssize_t{4}, py::ssize_t{4}}), velocities({count, py::ssize_t{3}});
+  Array<double> deviations(count), surface_deviations(count), size(3);
+  for (py::ssize_t k = 0; k < count; ++k) {
+    const TrackedObject::Place& place = object.places[std::size_t(k)];
+    sweeps.mutable_at(k) = place.sweep;
+    points.mutable_at(k) = place.points;
+    Eigen::Map<Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(poses.mutable_data(k, 0, 0)) =
+        place.T_world_object.matrix();
+    Eigen::Map<Eigen::Vector3d>(velocities.mutable_data(k, 0)) = place.velocity;
+    deviations.mutable_at(k) = place.deviation;
+    surface_deviations.mutable_at(k) = place.surface_deviation;
+  }
+  Eigen::Map<Eigen::Vector3d>(size.mutable_data()) = object.size.cast<double>();
+  return py::make_tuple(sweeps, points, poses, velocities, deviations, surface_deviations, size,
+                        object.rigid);
 }
 
-/// Calls `take` with a tuple for each sweep in order: rows of members, rows of boxes, dynamic
-/// voxels. Returns a tuple a track: sweeps, points, poses, velocities, two deviations, size,
-/// whether it is rigid. `read` gives the detections of a sweep, and is cached for each several
-/// times; `buffer_size` sweeps are in memory at once.
+/// Calls `take` with a tuple for each sweep in order: rows of members, rows of
+/// boxes, dynamic voxels. Returns a tuple a track: sweeps, points, poses,
+/// velocities, two deviations, size, whether it is rigid. `read` gives the
+/// detections of a sweep, and is cached for each several times; `buffer_size`
+/// sweeps are in memory at once.
 py::list track(const py::function& read, const Array<double>& times, int threads,
                const py::function& take, py::ssize_t buffer_size) {
   const auto count = times.size();
@@ -360,11 +336,9 @@ py::list track(const py::function& read, const Array<double>& times, int threads
     const py::gil_scoped_acquire acquire;
     take(sweep_of(sweep));
   };
-  std::vector<TrackedObject> tracked;
-  {
-    const py::gil_scoped_release release;
-    tracked = track_objects(detections, {t, t + count}, threads, give, std::size_t(buffer_size));
-  }
+  std::vector<TrackedObject> tracked = without_gil([&] {
+    return track_objects(detections, {t, t + count}, threads, give, std::size_t(buffer_size));
+  });
   py::list objects;
   for (TrackedObject& object : tracked) {
     objects.append(object_of(object));

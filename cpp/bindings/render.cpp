@@ -6,10 +6,13 @@
 #include <optional>
 #include <string>
 
+#include "docdepth/render/gl/renderer.hpp"
 #include "docdepth/render/layers.hpp"
 
 namespace docdepth::bindings {
 namespace {
+
+using gl::GlRenderer;
 
 std::unique_ptr<Frame> make_frame(const Array<float>& points, const Array<std::uint16_t>& classid,
                                   double crop) {
@@ -20,22 +23,51 @@ std::unique_ptr<Frame> make_frame(const Array<float>& points, const Array<std::u
   return std::make_unique<Frame>(map, classes, crop);
 }
 
-py::array_t<float> draw_splats(const Array<double>& K, int width, int height,
-                               const std::vector<Placed>& static_frames,
-                               const std::vector<Placed>& dynamic_frames, const Size& static_size,
-                               const Size& dynamic_size, int threads) {
-  const Camera camera = as_camera(K, width, height);
-  const PlacedClouds placed(static_frames, dynamic_frames, static_size, dynamic_size);
-  // The renderer keeps an image for each height of splats.
+/// Define render_splats, of which `draw` draws, on the module or on a class of
+/// renderers.
+template <class... Self, class Scope, class Draw>
+void define_splats(Scope& scope, const Draw& draw) {
+  using namespace py::literals;
+  const auto render = [draw](Self... self, const Array<double>& K, int width, int height,
+                             const std::vector<Placed>& static_frames,
+                             const std::vector<Placed>& dynamic_frames, const Size& static_size,
+                             const Size& dynamic_size, int threads) {
+    const Camera camera = as_camera(K, width, height);
+    const PlacedClouds placed(static_frames, dynamic_frames, static_size, dynamic_size);
+    return to_numpy(without_gil([&] { return draw(self..., camera, placed, threads); }),
+                    {height, width});
+  };
+  scope.def("render_splats", render, "K"_a, "width"_a, "height"_a, "static_frames"_a,
+            "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "threads"_a = 0);
+}
+
+/// Define render_meshes in the same way.
+template <class... Self, class Scope, class Draw>
+void define_meshes(Scope& scope, const Draw& draw) {
+  using namespace py::literals;
+  const auto render = [draw](Self... self, const Array<double>& K, int width, int height,
+                             const std::vector<PlacedFrame>& static_frames,
+                             const std::vector<ObjectOf>& objects, int visibility_sweeps,
+                             int threads, const std::vector<ShutterOf>& shutter_sweeps,
+                             const std::vector<BoxOf>& boxes, int nearest_frames) {
+    const Camera camera = as_camera(K, width, height);
+    const MeshScene scene = as_scene(camera, static_frames, objects, visibility_sweeps,
+                                     shutter_sweeps, boxes, nearest_frames);
+    return to_numpy(without_gil([&] { return draw(self..., camera, scene, threads); }),
+                    {height, width});
+  };
+  scope.def("render_meshes", render, "K"_a, "width"_a, "height"_a, "static_frames"_a, "objects"_a,
+            "visibility_sweeps"_a, "threads"_a = 0, "shutter_sweeps"_a = py::list(),
+            "boxes"_a = py::list(), "nearest_frames"_a = 1);
+}
+
+/// The renderer of the processor.
+std::vector<float> draw_splats(const Camera& camera, const PlacedClouds& placed, int threads) {
+  // It keeps an image for each height of splats.
   const int largest = std::max(placed.static_heights.largest(), placed.dynamic_heights.largest());
-  in_range(double(width) * height * largest, 0, kMaxSplatPixels,
+  in_range(double(camera.width) * camera.height * largest, 0, kMaxSplatPixels,
            "the pixels of the image times the height of the largest splat");
-  std::vector<float> depth;
-  {
-    const py::gil_scoped_release release;
-    depth = render_splats(camera, placed.clouds, threads);
-  }
-  return to_numpy(std::move(depth), {height, width});
+  return render_splats(camera, placed.clouds, threads);
 }
 
 /// A row for each point; the points themselves if there are none.
@@ -86,27 +118,6 @@ std::unique_ptr<MeshFrame> make_mesh_frame(
                 displacement ? &moved : nullptr, ray_origins ? &from : nullptr});
 }
 
-py::array_t<float> draw_meshes(const Array<double>& K, int width, int height,
-                               const std::vector<PlacedFrame>& static_frames,
-                               const std::vector<ObjectOf>& objects, int visibility_sweeps,
-                               int threads, const std::vector<ShutterOf>& shutter_sweeps,
-                               const std::vector<BoxOf>& boxes, int nearest_frames) {
-  const Camera camera = as_camera(K, width, height);
-  const auto frames = as_mesh_frames(static_frames);
-  const auto sighted = as_objects(objects);
-  const auto shutter = as_shutter_sweeps(shutter_sweeps);
-  const auto placed = as_boxes(boxes);
-  in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
-  in_range(nearest_frames, 1, kMaxRows, "nearest_frames");
-  std::vector<float> depth;
-  {
-    const py::gil_scoped_release release;
-    depth = render_meshes(camera, frames, sighted, visibility_sweeps, shutter, placed,
-                          nearest_frames, threads);
-  }
-  return to_numpy(std::move(depth), {height, width});
-}
-
 std::unique_ptr<Rays> make_rays(const Array<float>& points, const Array<float>& normals,
                                 const std::optional<Array<float>>& ray_origins) {
   const PointMap map = as_points(points), directions = as_points(normals, "normals");
@@ -122,17 +133,19 @@ std::unique_ptr<Rays> make_rays(const Array<float>& points, const Array<float>& 
 py::array_t<float> query_visibility(const Rays& rays, const Array<float>& points) {
   const PointMap map = as_points(points);
   std::vector<float> score(map.rows(), 0.0f);
-  {
-    const py::gil_scoped_release release;
+  without_gil([&] {
     PointBatch some;
     for (Eigen::Index first = 0; first < map.rows(); first += Eigen::Index(some.size)) {
       some.size = std::min<std::size_t>(map.rows() - first, PointBatch::kMax);
-      for (std::size_t i = 0; i < some.size; ++i)
-        some.x[i] = map(first + i, 0), some.y[i] = map(first + i, 1), some.z[i] = map(first + i, 2);
+      for (std::size_t i = 0; i < some.size; ++i) {
+        some.x[i] = map(first + i, 0);
+        some.y[i] = map(first + i, 1);
+        some.z[i] = map(first + i, 2);
+      }
       rays.query_visibility(some, kRayBlur, score.data() + first);
     }
-  }
-  return to_numpy(std::move(score), {map.rows()});
+  });
+  return to_numpy(std::move(score));
 }
 
 py::dict as_dict(Layers&& layers, int width, int height) {
@@ -170,12 +183,8 @@ py::dict splat_layers(const Array<double>& K, int width, int height,
   const Camera camera = as_camera(K, width, height);
   const PlacedClouds placed(static_frames, dynamic_frames, static_size, dynamic_size);
   const float* z = as_depth(depth, width, height);
-  std::optional<Layers> layers;
-  {
-    const py::gil_scoped_release release;
-    layers = layers_of_splats(camera, placed.clouds, z, threads);
-  }
-  return as_dict(std::move(*layers), width, height);
+  return as_dict(without_gil([&] { return layers_of_splats(camera, placed.clouds, z, threads); }),
+                 width, height);
 }
 
 py::dict mesh_layers(const Array<double>& K, int width, int height,
@@ -184,19 +193,16 @@ py::dict mesh_layers(const Array<double>& K, int width, int height,
                      const Array<float>& depth, int threads,
                      const std::vector<ShutterOf>& shutter_sweeps, bool seen) {
   const Camera camera = as_camera(K, width, height);
-  const auto frames = as_mesh_frames(static_frames);
-  const auto sighted = as_objects(objects);
-  const auto shutter = as_shutter_sweeps(shutter_sweeps);
-  in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
+  const MeshScene scene =
+      as_scene(camera, static_frames, objects, visibility_sweeps, shutter_sweeps);
   const float* z = as_depth(depth, width, height);
-  std::optional<Layers> layers;
-  {
-    const py::gil_scoped_release release;
-    layers = layers_of_triangles(
-        camera, compose_scene(camera, frames, sighted, visibility_sweeps, shutter, {}, 1), z, seen,
-        threads);
-  }
-  return as_dict(std::move(*layers), width, height);
+  return as_dict(without_gil([&] { return layers_of_triangles(camera, scene, z, seen, threads); }),
+                 width, height);
+}
+
+std::unique_ptr<GlRenderer> open(const std::string& library, int device) {
+  const py::gil_scoped_release release;
+  return std::make_unique<GlRenderer>(library, device);
 }
 
 }  // namespace
@@ -216,16 +222,31 @@ void bind_render(py::module_& m) {
   py::class_<Rays>(m, "Rays")
       .def(py::init(&make_rays), "points"_a, "normals"_a, "ray_origins"_a = py::none())
       .def("query_visibility", &query_visibility, "points"_a);
-  m.def("render_meshes", &draw_meshes, "K"_a, "width"_a, "height"_a, "static_frames"_a, "objects"_a,
-        "visibility_sweeps"_a, "threads"_a = 0, "shutter_sweeps"_a = py::list(),
-        "boxes"_a = py::list(), "nearest_frames"_a = 1);
+  define_meshes(m, &render_triangles);
   m.def("mesh_layers", &mesh_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a, "objects"_a,
         "visibility_sweeps"_a, "depth"_a, "threads"_a = 0, "shutter_sweeps"_a = py::list(),
         "seen"_a = false);
   m.def("splat_layers", &splat_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a,
         "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "depth"_a, "threads"_a = 0);
-  m.def("render_splats", &draw_splats, "K"_a, "width"_a, "height"_a, "static_frames"_a,
-        "dynamic_frames"_a, "static_size"_a, "dynamic_size"_a, "threads"_a = 0);
+  define_splats(m, &draw_splats);
+
+  py::register_exception<gl::GlError>(m, "GlError",
+                                      py::module_::import("docdepth.errors").attr("BackendError"));
+  m.def("egl_devices", &gl::egl_devices);
+  py::class_<GlRenderer> renderer(m, "GlRenderer");
+  renderer.def(py::init(&open), "library"_a, "device"_a = -1)
+      .def_property_readonly("renderer",
+                             [](const GlRenderer& self) { return self.context().renderer(); });
+  // The driver has its own threads. The argument makes this a drop-in for the
+  // processor's renderer.
+  define_splats<GlRenderer&>(
+      renderer, [](GlRenderer& self, const Camera& camera, const PlacedClouds& placed, int) {
+        return self.render_splats(camera, placed.clouds);
+      });
+  define_meshes<GlRenderer&>(
+      renderer, [](GlRenderer& self, const Camera& camera, const MeshScene& scene, int) {
+        return self.render_triangles(camera, scene);
+      });
 }
 
 }  // namespace docdepth::bindings

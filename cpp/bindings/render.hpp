@@ -9,8 +9,8 @@
 #include "arrays.hpp"
 #include "docdepth/render/camera.hpp"
 #include "docdepth/render/cloud.hpp"
+#include "docdepth/render/layers.hpp"
 #include "docdepth/render/mesh_frame.hpp"
-#include "docdepth/render/seen.hpp"
 #include "docdepth/render/splats.hpp"
 
 namespace docdepth::bindings {
@@ -68,17 +68,8 @@ struct PlacedClouds {
 
 using PlacedFrame = std::pair<const MeshFrame*, Array<double>>;
 
-inline PlacedMeshFrame as_mesh_frame(const PlacedFrame& placed) {
-  return {&present(placed.first), as_pose(placed.second)};
-}
-
-inline std::vector<PlacedMeshFrame> as_mesh_frames(const std::vector<PlacedFrame>& placed) {
-  std::vector<PlacedMeshFrame> result;
-  for (const auto& frame : placed) result.push_back(as_mesh_frame(frame));
-  return result;
-}
-
-/// A whole frame around the image, its pose, and the seconds from its stamp to the image.
+/// A whole frame around the image, its pose, and the seconds from its stamp to
+/// the image.
 using ShutterOf = std::tuple<const MeshFrame*, Array<double>, double>;
 
 inline std::vector<ShutterSweep> as_shutter_sweeps(const std::vector<ShutterOf>& frames) {
@@ -90,7 +81,8 @@ inline std::vector<ShutterSweep> as_shutter_sweeps(const std::vector<ShutterOf>&
   return result;
 }
 
-/// ``T_camera_box`` of a box, its length, width and height, and its velocity in the camera's frame.
+/// ``T_camera_box`` of a box, its length, width and height, and its velocity in
+/// the camera's frame.
 using Triple = std::tuple<double, double, double>;
 using BoxOf = std::tuple<Array<double>, Triple, Triple>;
 
@@ -107,10 +99,11 @@ inline std::vector<ObjectBox> as_boxes(const std::vector<BoxOf>& boxes) {
   return result;
 }
 
-/// A frame, the number of the object in it, its pose, and the number of the sweep.
+/// A frame, the number of the object in it, its pose, and the number of the
+/// sweep.
 using SightingOf = std::tuple<const MeshFrame*, int, Array<double>, int>;
-/// Instance, sightings of sweeps around the image and of others, and those whose rays tell where
-/// the object ends.
+/// Instance, sightings of sweeps around the image and of others, and those
+/// whose rays tell where the object ends.
 using ObjectOf =
     std::tuple<int, std::vector<SightingOf>, std::vector<SightingOf>, std::vector<SightingOf>>;
 
@@ -133,6 +126,20 @@ inline std::vector<ObjectViews> as_objects(const std::vector<ObjectOf>& objects)
         {std::uint16_t(instance), as_sightings(around), as_sightings(others), as_sightings(rays)});
   }
   return result;
+}
+
+/// What an image of meshes shows.
+inline MeshScene as_scene(const Camera& camera, const std::vector<PlacedFrame>& static_frames,
+                          const std::vector<ObjectOf>& objects, int visibility_sweeps,
+                          const std::vector<ShutterOf>& shutter_sweeps,
+                          const std::vector<BoxOf>& boxes = {}, int nearest_frames = 1) {
+  in_range(visibility_sweeps, 0, kMaxRows, "visibility_sweeps");
+  in_range(nearest_frames, 1, kMaxRows, "nearest_frames");
+  std::vector<PlacedMeshFrame> frames;
+  for (const auto& [frame, pose] : static_frames)
+    frames.push_back({&present(frame), as_pose(pose)});
+  return compose_scene(camera, frames, as_objects(objects), visibility_sweeps,
+                       as_shutter_sweeps(shutter_sweeps), as_boxes(boxes), nearest_frames);
 }
 
 }  // namespace docdepth::bindings

@@ -19,14 +19,13 @@ void check_key_frame(double resolution, int window) {
 }
 
 std::unique_ptr<RangeImage> make_range_image(const Array<float>& points, const Array<bool>& ground,
-                                             double resolution, int window, float tolerance,
-                                             bool plain) {
+                                             double resolution, int window, float tolerance) {
   const PointMap map = as_points(points);
   const bool* flags = as_flags(ground, map.rows(), "ground");
   check_key_frame(resolution, window);
   const py::gil_scoped_release release;
   return std::make_unique<RangeImage>(map, flags,
-                                      RangeImageParameters{resolution, window, tolerance, plain});
+                                      RangeImageParameters{resolution, window, tolerance});
 }
 
 std::unique_ptr<MeshImage> make_mesh_image(const Array<float>& points, const Array<bool>& ground,
@@ -52,17 +51,13 @@ py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
   const std::vector<Pose> T_world_key = as_poses(poses);
   for (const KeyFrame* key_frame : key_frames)
     if (!key_frame) throw std::invalid_argument("a key frame is None");
-  Votes votes;
-  {
-    const py::gil_scoped_release release;
-    votes = vote(map, flags, pose, key_frames, T_world_key, threads, std::size_t(earlier));
-  }
-  const py::ssize_t count = map.rows();
-  return py::make_tuple(to_numpy(std::move(votes.statics), {count}),
-                        to_numpy(std::move(votes.dynamics), {count}),
-                        to_numpy(std::move(votes.occupied_once), {count}),
-                        to_numpy(std::move(votes.first_occupied), {count}),
-                        to_numpy(std::move(votes.last_occupied), {count}));
+  Votes votes = without_gil([&] {
+    return vote(map, flags, pose, key_frames, T_world_key, threads, std::size_t(earlier));
+  });
+  return py::make_tuple(to_numpy(std::move(votes.statics)), to_numpy(std::move(votes.dynamics)),
+                        to_numpy(std::move(votes.occupied_once)),
+                        to_numpy(std::move(votes.first_occupied)),
+                        to_numpy(std::move(votes.last_occupied)));
 }
 
 }  // namespace
@@ -72,7 +67,7 @@ void bind_voting(py::module_& m) {
   py::class_<KeyFrame>(m, "KeyFrame");
   py::class_<RangeImage, KeyFrame>(m, "RangeImage")
       .def(py::init(&make_range_image), "points"_a, "ground"_a, "resolution"_a, "window"_a,
-           "tolerance"_a, "plain"_a = false);
+           "tolerance"_a);
   py::class_<Margins>(m, "Margins")
       .def(py::init<float, float, float>(), "normal_tolerance"_a, "radial_tolerance"_a,
            "radial_growth"_a)

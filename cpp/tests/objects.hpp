@@ -9,7 +9,7 @@
 
 #include "docdepth/detections/detections.hpp"
 #include "docdepth/geometry/types.hpp"
-#include "docdepth/tracking/detection_window.hpp"
+#include "docdepth/tracking/tracker.hpp"
 
 namespace docdepth::exact {
 

@@ -112,7 +112,7 @@ class ScanMesh:
 class KeyFrame:
     pass
 class RangeImage(KeyFrame):
-    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], resolution: typing.SupportsFloat | typing.SupportsIndex, window: typing.SupportsInt | typing.SupportsIndex, tolerance: typing.SupportsFloat | typing.SupportsIndex, plain: bool = False) -> None:
+    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], resolution: typing.SupportsFloat | typing.SupportsIndex, window: typing.SupportsInt | typing.SupportsIndex, tolerance: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
 class Margins:
     def __init__(self, normal_tolerance: typing.SupportsFloat | typing.SupportsIndex, radial_tolerance: typing.SupportsFloat | typing.SupportsIndex, radial_growth: typing.SupportsFloat | typing.SupportsIndex) -> None:

@@ -85,13 +85,13 @@ class MarkedPoints {
   MarkedPoints(const Points& points, const Flags& marked, float distance)
       : points_(points), distance_(distance) {
     for (std::uint32_t i = 0; i < marked.size(); ++i)
-      if (marked[i]) cells_[key(cell(i, 0), cell(i, 1), cell(i, 2))].push_back(i);
+      if (marked[i]) cells_[voxel_key(points.row(i), distance)].push_back(i);
   }
   bool has_near(std::uint32_t i) const {
     for (int x = -1; x <= 1; ++x)
       for (int y = -1; y <= 1; ++y)
         for (int z = -1; z <= 1; ++z) {
-          const auto found = cells_.find(key(cell(i, 0) + x, cell(i, 1) + y, cell(i, 2) + z));
+          const auto found = cells_.find(voxel_key(cell(i, 0) + x, cell(i, 1) + y, cell(i, 2) + z));
           if (found == cells_.end()) continue;
           for (const auto j : found->second)
             if (squared_distance(points_, i, j) < distance_ * distance_) return true;
@@ -103,14 +103,10 @@ class MarkedPoints {
   std::int64_t cell(std::uint32_t i, int axis) const {
     return voxel_coordinate(points_(i, axis), distance_);
   }
-  static std::int64_t key(std::int64_t x, std::int64_t y, std::int64_t z) {
-    constexpr std::int64_t kSpan = 1 << 21;
-    return ((x & (kSpan - 1)) * kSpan + (y & (kSpan - 1))) * kSpan + (z & (kSpan - 1));
-  }
 
   const Points& points_;
   float distance_;
-  std::unordered_map<std::int64_t, std::vector<std::uint32_t>> cells_;
+  std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> cells_;
 };
 
 /// Dynamic points that are connected to enough others. Ground points only count if together they

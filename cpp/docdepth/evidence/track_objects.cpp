@@ -2,15 +2,16 @@
 
 #include <algorithm>
 #include <cmath>
+#include <deque>
 #include <functional>
 #include <memory>
 #include <span>
 #include <utility>
 #include <variant>
 
-#include "docdepth/evidence/dynamic_voxels.hpp"
 #include "docdepth/evidence/fragments.hpp"
 #include "docdepth/evidence/object_track.hpp"
+#include "docdepth/evidence/points_inside.hpp"
 #include "docdepth/evidence/track_evidence.hpp"
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/tracking/constants.hpp"
@@ -26,6 +27,26 @@ constexpr std::size_t kTracksAtOnce = 32;
 
 using Boxes = std::vector<std::pair<std::size_t, TrackedBox>>;  ///< by sweep
 using Members = std::vector<std::pair<std::size_t, Member>>;    ///< by sweep
+
+/// The detections that were asked for last. So memory does not grow with the drive.
+class DetectionWindow {
+ public:
+  /// @param size  so many sweeps, at least 1
+  DetectionWindow(ReadDetections read, std::size_t size) : read_(std::move(read)), size_(size) {}
+
+  std::shared_ptr<const Detections> operator()(std::size_t sweep) {
+    for (auto it = recent_.rbegin(); it != recent_.rend(); ++it)
+      if (it->first == sweep) return it->second;
+    if (recent_.size() == size_) recent_.pop_front();
+    recent_.emplace_back(sweep, read_(sweep));
+    return recent_.back().second;
+  }
+
+ private:
+  ReadDetections read_;
+  std::size_t size_;
+  std::deque<std::pair<std::size_t, std::shared_ptr<const Detections>>> recent_;
+};
 
 /// Sweeps that are in memory, from `first` on.
 struct SweepBuffer {

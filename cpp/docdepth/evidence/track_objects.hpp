@@ -7,9 +7,8 @@
 #include <vector>
 
 #include "docdepth/detections/detections.hpp"
-#include "docdepth/geometry/oriented_box.hpp"
-#include "docdepth/tracking/detection_window.hpp"
-#include "docdepth/tracking/options.hpp"
+#include "docdepth/geometry/sampled_points.hpp"
+#include "docdepth/tracking/tracker.hpp"
 
 namespace docdepth {
 

@@ -6,11 +6,13 @@
 #include <stdexcept>
 #include <string>
 
-#include "docdepth/geometry/constants.hpp"
 #include "docdepth/geometry/parallel.hpp"
 
 namespace docdepth {
 namespace {
+
+/// Squares of larger coordinates overflow a float [m].
+constexpr float kMaxCoordinate = 1e18f;
 
 /// Points in a leaf of the tree: fewer make the tree deeper, more are compared in vain.
 constexpr std::size_t kTreeLeafSize = 16;

@@ -15,7 +15,7 @@ struct NearestNeighbors {
 
 /// The nearest point of each query; of equally near ones the first. The tree reads the points where
 /// they are, and the result does not depend on the number of threads.
-/// @throws std::invalid_argument a point or query is not finite or beyond kMaxCoordinate, or there
+/// @throws std::invalid_argument a point or query is not finite or beyond 1e18 m, or there
 ///   are queries but no points
 NearestNeighbors nearest_neighbors(const Points& points, const Points& queries, int threads);
 

@@ -60,11 +60,7 @@ std::pair<float, std::size_t> nearest(const SampledPoints& points, const Vector&
 template <class Visit>
 void for_each_voxel(const SampledPoints& points, float size, const Visit& visit) {
   KeyNumbers number_of(points.size());
-  for (std::size_t i = 0; i < points.size(); ++i) {
-    const Vector& p = points[i];
-    visit(i, number_of[voxel_key(voxel_coordinate(p.x(), size), voxel_coordinate(p.y(), size),
-                                 voxel_coordinate(p.z(), size))]);
-  }
+  for (std::size_t i = 0; i < points.size(); ++i) visit(i, number_of[voxel_key(points[i], size)]);
 }
 
 /// Mean of the values of the points in each voxel.
@@ -104,6 +100,11 @@ std::int64_t voxel_coordinate(float value, float size) {
   if (!(std::fabs(steps) < kMaxVoxel)) return steps > 0 ? kMaxVoxel : -kMaxVoxel;  // also for NaN
   const auto whole = static_cast<std::int64_t>(steps);
   return whole - (static_cast<float>(whole) > steps);
+}
+
+std::uint64_t voxel_key(const Vector& point, float size) {
+  return voxel_key(voxel_coordinate(point.x(), size), voxel_coordinate(point.y(), size),
+                   voxel_coordinate(point.z(), size));
 }
 
 SampledPoints downsample(const SampledPoints& points, float size) {
@@ -146,9 +147,7 @@ TimedPoints downsample_sweep(const Points& points, const float* times, float siz
     const float squared = p.squaredNorm();
     // Written so that points that are not finite are left out, too.
     if (!(squared > min_range * min_range && squared < max_range * max_range)) continue;
-    const std::size_t number =
-        number_of[voxel_key(voxel_coordinate(p.x(), size), voxel_coordinate(p.y(), size),
-                            voxel_coordinate(p.z(), size))];
+    const std::size_t number = number_of[voxel_key(p, size)];
     if (number == means.points.size()) {
       means.points.push_back(p);
       means.times.push_back(times[i]);

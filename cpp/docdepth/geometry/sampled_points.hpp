@@ -7,10 +7,20 @@
 #include <limits>
 #include <vector>
 
-#include "docdepth/geometry/constants.hpp"
 #include "docdepth/geometry/types.hpp"
 
 namespace docdepth {
+
+/// Edge of a voxel [m], half of kMatchDistance.
+constexpr float kSampleSpacing = 0.15f;
+/// Larger objects get voxels this many times larger until their samples are few enough.
+constexpr float kSampleSpacingGrowth = 1.3f;
+
+/// Two samples tell a shift if they were measured at least this share of the time between their
+/// sweeps apart: over less, their distance is noise more than motion.
+constexpr float kMinTimeShare = 0.3f;
+/// A sample is matched by another one within this distance [m].
+constexpr float kMatchDistance = 0.3f;
 
 using SampledPoints = std::vector<Eigen::Vector3f>;
 
@@ -37,13 +47,28 @@ struct Extent {
   }
 };
 
+/// A box that is turned as an object is.
+struct OrientedBox {
+  Eigen::Isometry3f T_box_world;  ///< x forward, z up; the origin is the middle of the box
+  Eigen::Vector3f half;           ///< half of its length, width and height [m]
+
+  /// Whether a point lies in the box or at most `margin` beside it [m].
+  bool contains(const Eigen::Vector3f& point, float margin) const {
+    const Eigen::Vector3f p = T_box_world * point;
+    return (p.array().abs() <= half.array() + margin).all();
+  }
+  Eigen::Vector3f middle() const { return T_box_world.inverse().translation(); }
+};
+
 /// Bounding box of at least one point.
 Extent extent_of(const SampledPoints& points);
 
 /// Index of the voxel of edge `size` that holds a coordinate.
 std::int64_t voxel_coordinate(float value, float size);
 /// One key of three voxel indices.
-std::uint64_t voxel_key(std::int64_t x, std::int64_t y, std::int64_t z = 0);
+std::uint64_t voxel_key(std::int64_t x, std::int64_t y, std::int64_t z);
+/// Key of the voxel of edge `size` that holds a point.
+std::uint64_t voxel_key(const Eigen::Vector3f& point, float size);
 
 /// Mean of the points in each voxel of edge `size`, in the order of the first point of each.
 SampledPoints downsample(const SampledPoints& points, float size);

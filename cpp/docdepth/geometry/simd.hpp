@@ -72,10 +72,30 @@ using Ints = std::int32_t __attribute__((vector_size(4 * kLanes)));
 constexpr int kDoubleLanes = 4;
 using Doubles = double __attribute__((vector_size(8 * kDoubleLanes)));
 
-DOCDEPTH_KERNEL Floats load(const float* from) {
-  Floats lanes;
+/// Lanes from memory and to it, however it is aligned.
+template <class Lanes = Floats, class Value>
+DOCDEPTH_KERNEL Lanes load(const Value* from) {
+  Lanes lanes;
   std::memcpy(&lanes, from, sizeof lanes);
   return lanes;
+}
+template <class Lanes, class Value>
+DOCDEPTH_KERNEL void store(const Lanes& lanes, Value* to) {
+  std::memcpy(to, &lanes, sizeof lanes);
+}
+
+/// Eight vectors, one per lane.
+struct Vectors {
+  Floats x, y, z;
+};
+
+/// Eight points of consecutive columns as RigidTransform moves them.
+template <class Transform>
+DOCDEPTH_KERNEL Vectors moved(const Transform& T, const float* x, const float* y, const float* z) {
+  const Floats a = load(x), b = load(y), c = load(z);
+  return {((T.r[0][0] * a + T.r[0][1] * b) + T.r[0][2] * c) + T.t[0],
+          ((T.r[1][0] * a + T.r[1][1] * b) + T.r[1][2] * c) + T.t[1],
+          ((T.r[2][0] * a + T.r[2][1] * b) + T.r[2][2] * c) + T.t[2]};
 }
 
 DOCDEPTH_KERNEL Floats absolute(const Floats& v) {

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <limits>
 
 #include "docdepth/geometry/simd.hpp"
@@ -18,17 +17,10 @@ struct Measure {
                                   float* squared, float* smallest) {
     Floats least = kInfinity - Floats{};
     for (std::size_t i = 0; i < n; i += kLanes) {
-      Floats dx, dy, dz, open;
-      std::memcpy(&dx, xs + i, sizeof dx);
-      std::memcpy(&dy, ys + i, sizeof dy);
-      std::memcpy(&dz, zs + i, sizeof dz);
-      std::memcpy(&open, closed + i, sizeof open);
-      dx -= x;
-      dy -= y;
-      dz -= z;
+      const Floats dx = load(xs + i) - x, dy = load(ys + i) - y, dz = load(zs + i) - z;
       const Floats d = (dx * dx + dy * dy) + dz * dz;
-      std::memcpy(squared + i, &d, sizeof d);
-      open += d;
+      store(d, squared + i);
+      const Floats open = load(closed + i) + d;
       least = open < least ? open : least;
     }
     *smallest = least[0];
@@ -58,13 +50,8 @@ struct Spread {
                                   std::size_t n, double x, double y, double z, double* sums) {
     Doubles sum[6] = {};
     for (std::size_t i = 0; i < n; i += kDoubleLanes) {
-      Doubles dx, dy, dz;
-      std::memcpy(&dx, xs + i, sizeof dx);
-      std::memcpy(&dy, ys + i, sizeof dy);
-      std::memcpy(&dz, zs + i, sizeof dz);
-      dx -= x;
-      dy -= y;
-      dz -= z;
+      const Doubles dx = load<Doubles>(xs + i) - x, dy = load<Doubles>(ys + i) - y,
+                    dz = load<Doubles>(zs + i) - z;
       sum[0] += dx * dx;
       sum[1] += dx * dy;
       sum[2] += dx * dz;

@@ -31,10 +31,6 @@ struct FindRays {
   }
 };
 
-/// Eight vectors, one per lane.
-struct Vectors {
-  Floats x, y, z;
-};
 DOCDEPTH_KERNEL Vectors operator-(const Vectors& a, const Vectors& b) {
   return {a.x - b.x, a.y - b.y, a.z - b.z};
 }

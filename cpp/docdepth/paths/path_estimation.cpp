@@ -8,8 +8,8 @@
 #include <utility>
 
 #include "docdepth/detections/quantile.hpp"
-#include "docdepth/paths/smoothing.hpp"
 #include "docdepth/tracking/constants.hpp"
+#include "docdepth/tracking/motion_filter.hpp"
 #include "docdepth/tracking/neighbors.hpp"
 
 namespace docdepth {
@@ -440,13 +440,11 @@ void PathEstimation::share_surface_deviations(const std::vector<double>& measure
   std::vector<double> shared;
   for (int k = 0; k < count(); ++k) {
     double least = path_.states[k].surface_deviation;
-    for (const int step : {-1, 1})
-      for (int j = k + step; j >= 0 && j < count(); j += step) {
-        const double dt = path_.states[j].time - path_.states[k].time;
-        const double bent = MotionFilter::kStrongest / 2 * dt * dt;
-        if (bent >= least) break;
-        least = std::min(least, path_.states[j].surface_deviation + bent);
-      }
+    for (const PathState& other : path_.states) {
+      const double dt = other.time - path_.states[k].time;
+      const double bent = MotionFilter::kStrongest / 2 * dt * dt;
+      least = std::min(least, other.surface_deviation + bent);
+    }
     shared.push_back(std::max(least, measured[k]));
   }
   for (int k = 0; k < count(); ++k) path_.states[k].surface_deviation = shared[k];

@@ -219,9 +219,7 @@ void SurfaceModel::add(const ObservedSurface& seen, const Pose& T_world_object) 
     if (const auto& end = side ? ends.high : ends.low) ends_[side].push_back(*end);
   for (std::size_t i = 0; i < seen.points.size(); ++i) {
     const Vector p = T * seen.points[i];
-    const auto key = voxel_key(voxel_coordinate(p.x(), voxel_), voxel_coordinate(p.y(), voxel_),
-                               voxel_coordinate(p.z(), voxel_));
-    const auto [found, is_new] = numbers_.emplace(key, surface_.points.size());
+    const auto [found, is_new] = numbers_.emplace(voxel_key(p, voxel_), surface_.points.size());
     if (is_new) {
       surface_.points.push_back(p);
       surface_.normals.push_back(T.linear() * seen.normals[i]);

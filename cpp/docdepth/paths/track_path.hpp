@@ -3,9 +3,9 @@
 
 #include <vector>
 
-#include "docdepth/geometry/oriented_box.hpp"
+#include "docdepth/geometry/sampled_points.hpp"
 #include "docdepth/paths/path_estimation.hpp"
-#include "docdepth/tracking/options.hpp"
+#include "docdepth/tracking/tracker.hpp"
 
 namespace docdepth {
 

@@ -1,8 +1,8 @@
 #include "docdepth/render/cloud.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
-#include <cstring>
 
 #include "docdepth/render/identity.hpp"
 
@@ -21,9 +21,8 @@ std::uint32_t cell(float x, float y) {
   const auto sector = std::min(static_cast<std::uint32_t>(angle * (kSectors / 4.0f)), kSectors - 1);
   // Exponent and two bits of the squared range: rings a tenth of their range wide.
   const float squared = std::min(x * x + y * y + 1.0f, 1e9f);
-  std::uint32_t bits;
-  std::memcpy(&bits, &squared, sizeof bits);
-  const std::uint32_t ring = std::min((bits >> 21) - (127u << 2), kRings - 1);
+  const std::uint32_t ring =
+      std::min((std::bit_cast<std::uint32_t>(squared) >> 21) - (127u << 2), kRings - 1);
   return sector * kRings + ring;
 }
 

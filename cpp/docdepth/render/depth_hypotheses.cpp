@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstring>
 #include <functional>
 #include <utility>
 
@@ -54,17 +53,14 @@ static_assert(DepthHypotheses::kStrip % DepthHypotheses::kTile == 0, "strips are
 template <class Each>
 DOCDEPTH_KERNEL void add_row(float* inverse_depth, const Each& hypotheses) {
   constexpr float more = 1 + kSameDepth, less = 1 / (1 + kSameDepth);
-  Floats w;
-  std::memcpy(&w, inverse_depth, sizeof w);
-  const Floats none{};
-  std::memcpy(inverse_depth, &none, sizeof none);
+  const Floats w = load(inverse_depth);
+  store(Floats{}, inverse_depth);
   Ints left = w > 0.0f;
   for (int k = 0; k < DepthHypotheses::kMost && any(left); ++k) {
-    Floats known;
-    std::memcpy(&known, hypotheses(k), sizeof known);
+    Floats known = load(hypotheses(k));
     const Ints empty = left & (known == 0.0f);
     known = empty ? w : known;
-    std::memcpy(hypotheses(k), &known, sizeof known);
+    store(known, hypotheses(k));
     left &= ~((w < known * more) & (w > known * less));
   }
 }
@@ -136,8 +132,8 @@ DOCDEPTH_KERNEL Ints edges_of_row(const float* inverse_depth, int stride, bool a
   constexpr float more = 1 + kSameDepth;
   const float none[kLanes] = {};
   float wide[kLanes + 2] = {};
-  std::memcpy(wide + 1, inverse_depth, sizeof(Floats));
   const Floats here = load(inverse_depth);
+  store(here, wide + 1);
   const Floats around[] = {load(wide), load(wide + 2), load(above ? inverse_depth - stride : none),
                            load(below ? inverse_depth + stride : none)};
   Ints edges{};

@@ -5,11 +5,13 @@
 #include <vector>
 
 #include "docdepth/render/camera.hpp"
-#include "docdepth/render/seen.hpp"
 #include "docdepth/render/splats.hpp"
 #include "docdepth/render/triangles.hpp"
 
 namespace docdepth {
+
+/// What rays around the shutter say of the depth of a pixel.
+enum class Seen : std::uint8_t { kNotLookedAt = 0, kAgreed = 1, kContradicted = 2, kNoDepth = 255 };
 
 /// Row after row, like the depth map.
 struct Layers {
@@ -37,5 +39,16 @@ Layers layers_of_triangles(const Camera& camera, const MeshScene& scene, const f
 /// The same for splats. Each splat that covers a pixel is a measurement.
 Layers layers_of_splats(const Camera& camera, const std::vector<PlacedCloud>& clouds,
                         const float* depth, int threads);
+
+/// State of each pixel, row after row.
+///
+/// The four nearest rays around the drawn point, one in each quadrant of direction, tell, of all
+/// that were measured within kShutter and lie within kNearRays. All four ended on the surface
+/// there: agreed. All passed through: contradicted. All ended before it, on something that hides it
+/// from the camera, too: contradicted. Else, also if one is missing: not looked at.
+///
+/// @param objects  number of the dynamic object of each pixel, from 0 on; -1 for static ones
+std::vector<Seen> seen_pixels(const Camera& camera, const MeshScene& scene, const float* depth,
+                              const std::vector<std::int32_t>& objects, int threads);
 
 }  // namespace docdepth

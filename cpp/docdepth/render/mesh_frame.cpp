@@ -6,7 +6,6 @@
 #include <limits>
 #include <utility>
 
-#include "docdepth/render/object_rays.hpp"
 #include "docdepth/render/partitioned_mesh.hpp"
 
 namespace docdepth {
@@ -121,18 +120,6 @@ MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>
     if (!placed.bounds.empty()) scene.dynamic_objects.push_back(std::move(placed));
   }
   return scene;
-}
-
-std::vector<float> render_meshes(const Camera& camera,
-                                 const std::vector<PlacedMeshFrame>& static_frames,
-                                 const std::vector<ObjectViews>& objects, int visibility_sweeps,
-                                 const std::vector<ShutterSweep>& shutter_sweeps,
-                                 const std::vector<ObjectBox>& boxes, int nearest_frames,
-                                 int threads) {
-  return render_triangles(camera,
-                          compose_scene(camera, static_frames, objects, visibility_sweeps,
-                                        shutter_sweeps, boxes, nearest_frames),
-                          threads);
 }
 
 }  // namespace docdepth

@@ -51,6 +51,12 @@ struct MeshFrame {
   explicit MeshFrame(const MeshParts& parts);
 };
 
+/// For each object the rays that ended on it or passed beside it, each moved with the object from
+/// the time of its measurement to the time at which the object is held. So the object stands still
+/// among them.
+/// @param normals  of the surface at each point
+std::vector<Rays> object_rays(const MeshParts& parts, const std::vector<Eigen::Vector3f>& normals);
+
 struct PlacedMeshFrame {
   const MeshFrame* frame;
   Pose T_camera_frame;
@@ -77,7 +83,7 @@ struct ObjectViews {
   std::vector<ObjectView> rays;    ///< that tell where it ends
 };
 
-/// Depth map of static surface and dynamic objects, row after row [m]; NaN if there is none.
+/// The scene of static surface and dynamic objects, for any rasteriser.
 ///
 /// @param static_frames      sweeps in the order of trust, the nearest first; of several LiDARs a
 ///   frame for each
@@ -88,14 +94,6 @@ struct ObjectViews {
 /// @param boxes              around objects that move; see mask_unobserved_background()
 /// @param nearest_frames     number of static_frames of the nearest sweep, at least 1: they are
 ///   trusted, and between its last return and the next ray each may hide what is farther
-std::vector<float> render_meshes(const Camera& camera,
-                                 const std::vector<PlacedMeshFrame>& static_frames,
-                                 const std::vector<ObjectViews>& objects, int visibility_sweeps,
-                                 const std::vector<ShutterSweep>& shutter_sweeps,
-                                 const std::vector<ObjectBox>& boxes, int nearest_frames,
-                                 int threads);
-
-/// What render_meshes() draws, for any rasteriser. static_frames are the sweeps from 0 on.
 MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>& static_frames,
                         const std::vector<ObjectViews>& objects, int visibility_sweeps,
                         const std::vector<ShutterSweep>& shutter_sweeps,

@@ -96,7 +96,8 @@ void assign_moved_edges(const Camera& camera, const float* depth, const Strip& s
       int right = std::min(left + Strip::kTile, strip.end);
       int bottom = std::min(top + Strip::kTile, strip.height);
       if (none) {  // an object may go on farther than a tile
-        left = std::max(u - Strip::kTile, strip.begin), top = std::max(v - Strip::kTile, 0);
+        left = std::max(u - Strip::kTile, strip.begin);
+        top = std::max(v - Strip::kTile, 0);
         right = std::min(u + Strip::kTile, strip.end);
         bottom = std::min(v + Strip::kTile, strip.height);
       }

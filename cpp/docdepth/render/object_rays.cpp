@@ -1,9 +1,8 @@
-#include "docdepth/render/object_rays.hpp"
-
 #include <algorithm>
 #include <cmath>
 
 #include "docdepth/mesh/directions.hpp"
+#include "docdepth/render/mesh_frame.hpp"
 
 namespace docdepth {
 namespace {

@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <cstring>
 #include <limits>
 #include <vector>
 
@@ -72,20 +71,14 @@ constexpr float kBeyond = 1e18f;
 DOCDEPTH_KERNEL bool project_patch(const PatchMesh& mesh, const PatchMesh::Patch& patch,
                                    const RigidTransform& T, const Camera& camera,
                                    const Strip& strip, Projected& out) {
-  const auto& r = T.r;
   const auto fx = float(camera.fx), fy = float(camera.fy), cx = float(camera.cx),
              cy = float(camera.cy);
   const auto left = float(strip.begin), right = float(strip.end - 1);
   const auto bottom = float(strip.height - 1);
   Floats low_u = Floats{} + INFINITY, high_u = -low_u, low_v = low_u, high_v = -low_u;
   for (std::uint32_t i = 0; i < patch.vertices; i += kLanes) {
-    Floats a, b, c;
-    std::memcpy(&a, mesh.x() + patch.vertex + i, sizeof a);
-    std::memcpy(&b, mesh.y() + patch.vertex + i, sizeof b);
-    std::memcpy(&c, mesh.z() + patch.vertex + i, sizeof c);
-    const Floats x = ((r[0][0] * a + r[0][1] * b) + r[0][2] * c) + T.t[0];
-    const Floats y = ((r[1][0] * a + r[1][1] * b) + r[1][2] * c) + T.t[1];
-    const Floats z = ((r[2][0] * a + r[2][1] * b) + r[2][2] * c) + T.t[2];
+    const std::uint32_t at = patch.vertex + i;
+    const auto [x, y, z] = moved(T, mesh.x() + at, mesh.y() + at, mesh.z() + at);
     const Ints seen = (z > kNear) & (z < kBeyond);
     const Floats w = 1.0f / z;
     const Floats u = (fx * x) * w + cx, v = (fy * y) * w + cy;
@@ -93,10 +86,10 @@ DOCDEPTH_KERNEL bool project_patch(const PatchMesh& mesh, const PatchMesh::Patch
     const Ints outside = ((u + kSlack < left) & kLeft) | ((u - kSlack > right) & kRight) |
                          ((v + kSlack < 0.0f) & kAbove) | ((v - kSlack > bottom) & kBelow) |
                          (~seen & kBehind);
-    std::memcpy(out.u + i, &u, sizeof u);
-    std::memcpy(out.v + i, &v, sizeof v);
-    std::memcpy(out.w + i, &shown, sizeof shown);
-    std::memcpy(out.outside + i, &outside, sizeof outside);
+    store(u, out.u + i);
+    store(v, out.v + i);
+    store(shown, out.w + i);
+    store(outside, out.outside + i);
     const Ints part =
         seen & (Ints{0, 1, 2, 3, 4, 5, 6, 7} + std::int32_t(i) < std::int32_t(patch.vertices));
     low_u = part & (u < low_u) ? u : low_u;
@@ -134,14 +127,10 @@ DOCDEPTH_KERNEL void keep_nearer(Strip& strip, std::size_t pixel, const Ints& in
   float* cell = strip.inverse_depth.data() + pixel;
   const Floats old = load(cell);
   const Ints nearer = inside & (w > old);
-  const Floats now = nearer ? w : old;
-  std::memcpy(cell, &now, sizeof now);
+  store(nearer ? w : old, cell);
   if constexpr (kNumbered) {
     std::int32_t* numbers = strip.numbers.data() + pixel;
-    Ints before;
-    std::memcpy(&before, numbers, sizeof before);
-    const Ints after = nearer ? Ints{} + number : before;
-    std::memcpy(numbers, &after, sizeof after);
+    store(nearer ? Ints{} + number : load<Ints>(numbers), numbers);
   }
 }
 

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "docdepth/geometry/types.hpp"
-#include "docdepth/mesh/constants.hpp"
+#include "docdepth/mesh/directions.hpp"
 #include "docdepth/render/constants.hpp"
 
 namespace docdepth {

@@ -1,8 +1,7 @@
-#include "docdepth/render/seen.hpp"
-
 #include <algorithm>
 
 #include "docdepth/geometry/parallel.hpp"
+#include "docdepth/render/layers.hpp"
 #include "docdepth/render/shutter_rays.hpp"
 
 namespace docdepth {

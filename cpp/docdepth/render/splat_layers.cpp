@@ -1,6 +1,6 @@
 #include <atomic>
+#include <bit>
 #include <cmath>
-#include <cstring>
 #include <limits>
 #include <memory>
 
@@ -44,8 +44,7 @@ void compare(const Camera& camera, const Eigen::Vector3f& p, int size, std::uint
       tally.support.fetch_add(1, std::memory_order_relaxed);
       tally.sum.fetch_add(steps, std::memory_order_relaxed);
       tally.squares.fetch_add(steps * steps, std::memory_order_relaxed);
-      std::uint32_t bits;  // bits of positive floats are ordered like the floats
-      std::memcpy(&bits, &difference, sizeof bits);
+      const auto bits = std::bit_cast<std::uint32_t>(difference);  // ordered like positive floats
       const std::uint64_t mine = (std::uint64_t(bits) << 32) | number;
       std::uint64_t best = tally.best.load(std::memory_order_relaxed);
       while (mine < best && !tally.best.compare_exchange_weak(best, mine)) {

@@ -1,9 +1,9 @@
 #include "docdepth/render/splats.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstdlib>
-#include <cstring>
 #include <limits>
 #include <memory>
 #include <mutex>
@@ -18,18 +18,6 @@
 // the maximum of shifted rows, which all points share.
 namespace docdepth {
 namespace {
-
-std::uint32_t bits_of(float value) {
-  std::uint32_t bits;
-  std::memcpy(&bits, &value, sizeof bits);
-  return bits;
-}
-
-float float_of(std::uint32_t bits) {
-  float value;
-  std::memcpy(&value, &bits, sizeof value);
-  return value;
-}
 
 // Depth as an integer that is 0 for an empty pixel and grows as depth falls: bits of positive
 // floats are ordered like the floats. Fresh pages of zeros are an empty image for free.
@@ -127,15 +115,9 @@ struct ProjectBlock {
   DOCDEPTH_KERNEL static void run(const Cloud& cloud, const Cloud::Block& block,
                                   const RigidTransform& T, const Projection& camera,
                                   ProjectedSplat& out) {
-    const auto& r = T.r;
     for (std::uint32_t i = 0; i < block.end - block.begin; i += kLanes) {
-      Floats a, b, c;
-      std::memcpy(&a, cloud.x() + block.begin + i, sizeof a);
-      std::memcpy(&b, cloud.y() + block.begin + i, sizeof b);
-      std::memcpy(&c, cloud.z() + block.begin + i, sizeof c);
-      const Floats x = ((r[0][0] * a + r[0][1] * b) + r[0][2] * c) + T.t[0];
-      const Floats y = ((r[1][0] * a + r[1][1] * b) + r[1][2] * c) + T.t[1];
-      const Floats z = ((r[2][0] * a + r[2][1] * b) + r[2][2] * c) + T.t[2];
+      const std::uint32_t at = block.begin + i;
+      const auto [x, y, z] = moved(T, cloud.x() + at, cloud.y() + at, cloud.z() + at);
       const Floats u = ((camera.fx * x) / z + camera.cx) + 0.5f;
       const Floats v = ((camera.fy * y) / z + camera.cy) + 0.5f;
       const Ints seen =
@@ -145,9 +127,9 @@ struct ProjectBlock {
       const Ints row = __builtin_convertvector(v, Ints) & seen;
       const Ints pixel = (row * camera.stride + column) | ~seen;
       const Floats squared = (x * x + y * y) + z * z;
-      std::memcpy(out.pixel + i, &pixel, sizeof pixel);
-      std::memcpy(out.depth + i, &z, sizeof z);
-      std::memcpy(out.squared + i, &squared, sizeof squared);
+      store(pixel, out.pixel + i);
+      store(z, out.depth + i);
+      store(squared, out.squared + i);
     }
   }
 };
@@ -194,7 +176,7 @@ void draw_pixels(const Camera& camera, const std::vector<PlacedCloud>& clouds, P
       for (std::uint32_t i = 0; i < block.end - block.begin; ++i)
         if (points.pixel[i] >= 0)
           images.at(height(points.squared[i]))
-              .put(points.pixel[i], inverted_bits(bits_of(points.depth[i])));
+              .put(points.pixel[i], inverted_bits(std::bit_cast<std::uint32_t>(points.depth[i])));
     }
   });
 }
@@ -261,7 +243,8 @@ struct SpreadRows {
       }
       float* out = depth + std::size_t(v) * width;
       for (int u = 0; u < width; ++u)
-        out[u] = row[u] ? float_of(kNearest - row[u]) : std::numeric_limits<float>::quiet_NaN();
+        out[u] = row[u] ? std::bit_cast<float>(kNearest - row[u])
+                        : std::numeric_limits<float>::quiet_NaN();
     }
   }
 };
@@ -286,20 +269,21 @@ SplatHeights::SplatHeights(const SplatSize& size) {
     std::uint32_t reached = 0, missed = infinity;  // bits of floats, ordered like the floats
     while (missed - reached > 1) {
       const std::uint32_t middle = reached + (missed - reached) / 2;
-      (height_of(size, float_of(middle)) >= h ? reached : missed) = middle;
+      (height_of(size, std::bit_cast<float>(middle)) >= h ? reached : missed) = middle;
     }
-    limit_[h] = missed == infinity ? std::numeric_limits<float>::infinity() : float_of(reached);
+    limit_[h] =
+        missed == infinity ? std::numeric_limits<float>::infinity() : std::bit_cast<float>(reached);
   }
   guess_.resize((infinity >> 15) + 1);
   for (std::size_t pattern = 0, h = largest; pattern < guess_.size(); ++pattern) {
-    const float begin = float_of(static_cast<std::uint32_t>(pattern << 15));
+    const float begin = std::bit_cast<float>(static_cast<std::uint32_t>(pattern << 15));
     while (begin > limit_[h]) --h;
     guess_[pattern] = static_cast<std::uint16_t>(h);
   }
 }
 
 int SplatHeights::operator()(float squared_distance) const {
-  int height = guess_[bits_of(squared_distance) >> 15];
+  int height = guess_[std::bit_cast<std::uint32_t>(squared_distance) >> 15];
   while (squared_distance > limit_[height]) --height;
   return height;
 }

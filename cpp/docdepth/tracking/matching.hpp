@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "docdepth/detections/detections.hpp"
-#include "docdepth/tracking/track_state.hpp"
+#include "docdepth/tracking/track.hpp"
 
 namespace docdepth {
 

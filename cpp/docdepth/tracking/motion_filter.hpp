@@ -1,7 +1,8 @@
-// A motion filtered from measured positions.
+// A motion filtered from measured positions, and the smoothest one through them.
 #pragma once
 
 #include <Eigen/Core>
+#include <vector>
 
 namespace docdepth {
 
@@ -53,5 +54,20 @@ class MotionFilter {
   Vector9 mean_ = Vector9::Zero();
   Matrix9 covariance_ = Matrix9::Zero();
 };
+
+struct Motion {
+  Eigen::Vector3d position;    ///< [m]
+  Eigen::Vector3d velocity;    ///< [m/s]
+  Eigen::Matrix3d covariance;  ///< of the position [m^2]
+};
+
+/// Position and velocity at each measurement, from all of them: Kalman filter forward, then the
+/// smoother of Rauch, Tung and Striebel (1965) backward. The acceleration is a random walk.
+///
+/// @param measured  ascending in time
+/// @param changes   how much each coordinate of the acceleration changes in a second, up to each
+///                  measurement [m/s^2]
+std::vector<Motion> smooth_positions(const std::vector<MeasuredPosition>& measured,
+                                     const std::vector<Eigen::Vector3d>& changes);
 
 }  // namespace docdepth

@@ -8,7 +8,7 @@
 #include "docdepth/tracking/constants.hpp"
 #include "docdepth/tracking/ego_body.hpp"
 #include "docdepth/tracking/matching.hpp"
-#include "docdepth/tracking/track_state.hpp"
+#include "docdepth/tracking/track.hpp"
 
 namespace docdepth {
 namespace {

@@ -1,13 +1,35 @@
 // Follows objects from sweep to sweep.
 #pragma once
 
+#include <cstddef>
+#include <functional>
+#include <memory>
 #include <vector>
 
-#include "docdepth/tracking/detection_window.hpp"
-#include "docdepth/tracking/options.hpp"
+#include "docdepth/tracking/matching.hpp"
 #include "docdepth/tracking/track.hpp"
 
 namespace docdepth {
+
+/// Gives the detections of a sweep. It is called from the thread that tracks, and may be asked for
+/// a sweep several times.
+using ReadDetections = std::function<std::shared_ptr<const Detections>(std::size_t sweep)>;
+
+/// What tracking depends on. Beyond the paper.
+struct TrackingOptions {
+  /// A track is dynamic if it is transient in this many sweeps,
+  int min_detections = 3;
+  /// and if it went this far [m].
+  float min_distance = 1.0f;
+  /// A moving object that is hidden for longer is lost [s].
+  float max_gap = 1.0f;
+  /// The same for a standing object [s].
+  float max_gap_standing = 5.0f;
+  /// The extent of an object, and the dynamic voxels of a sweep, come from the sweeps within this
+  /// time [s]. 0: only detections that belong to a track become dynamic.
+  double window = 0.3;
+  MatchOptions matching{};
+};
 
 /// Follow the objects that the votes call dynamic, forward in time and then backward.
 ///

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -9,7 +10,7 @@
 
 #include "docdepth/geometry/simd.hpp"
 #include "docdepth/mesh/directions.hpp"
-#include "docdepth/voting/window.hpp"
+#include "docdepth/voting/padded_range_image.hpp"
 
 namespace docdepth {
 namespace {
@@ -24,18 +25,6 @@ constexpr std::uint32_t kJump = 0x80000000, kRange = 0x7ff80000, kOnGround = 0x4
                         kMostSteps = 0x3f;
 constexpr int kSteps = 8;
 
-float as_float(std::uint32_t bits) {
-  float value;
-  std::memcpy(&value, &bits, sizeof value);
-  return value;
-}
-
-std::uint32_t as_bits(float value) {
-  std::uint32_t bits;
-  std::memcpy(&bits, &value, sizeof bits);
-  return bits;
-}
-
 /// Votes by the triangles of pixels. `open` is negative where a return of the window may overrule.
 /// @param seen  the pixels, four values each
 struct VoteByTriangles {
@@ -46,8 +35,9 @@ struct VoteByTriangles {
                                   std::int32_t* __restrict open) {
     for (std::size_t i = 0; i < count; ++i) {
       const float a = seen[4 * i], b = seen[4 * i + 1], c = seen[4 * i + 2];
-      const std::uint32_t bits = as_bits(seen[4 * i + 3]);
-      const float nearest = as_float(bits & kRange), farthest = as_float(bits << 12 & kRange);
+      const std::uint32_t bits = std::bit_cast<std::uint32_t>(seen[4 * i + 3]);
+      const float nearest = std::bit_cast<float>(bits & kRange),
+                  farthest = std::bit_cast<float>(bits << 12 & kRange);
       const float angle = step * static_cast<float>(static_cast<std::int32_t>(bits & kMostSteps));
       const int jump = static_cast<int>(bits >> 31);
 
@@ -106,18 +96,14 @@ struct VoteByWindows {
       for (int left = 0; left < window; left += kLanes) {
         Ints here{};
         for (int r = 0; r < window; ++r) {
-          Floats measured;
-          std::memcpy(&measured, row + r * stride + left, sizeof measured);
-          const Floats difference = range[i] - measured;
+          const Floats difference = range[i] - load(row + r * stride + left);
           here |= (difference > -tolerance) & (difference < tolerance);
         }
         on |= here & (left + lanes < window);
       }
-      std::int64_t halves[kLanes / 2];
-      std::memcpy(halves, &on, sizeof halves);
-      const int any = (halves[0] | halves[1] | halves[2] | halves[3]) ? -1 : 0;
-      statics[i] += any & 1;
-      dynamics[i] -= any & (-1 - open[i]);
+      const int met = any(on) ? -1 : 0;
+      statics[i] += met & 1;
+      dynamics[i] -= met & (-1 - open[i]);
     }
   }
 };
@@ -190,11 +176,11 @@ MeshImage::MeshImage(const Points& points, const bool* ground, const ScanMesh& m
 void MeshImage::summarize_windows() {
   std::vector<float> seen(range_);
   for (float& range : seen) range = range == kEmpty ? 0.0f : range;
-  const auto nearest = window_minimum(range_, padded_.stride(), padded_.half());
-  const auto farthest = window_maximum(seen, padded_.stride(), padded_.half());
+  const auto nearest = padded_.window_minimum(range_);
+  const auto farthest = padded_.window_maximum(seen);
   for (std::size_t i = 0; i < pixels_.size(); ++i)
-    pixels_[i].bits |=
-        (as_bits(nearest[i]) & kRange) | ((as_bits(farthest[i]) + 0x7ffff) & kRange) >> 12;
+    pixels_[i].bits |= (std::bit_cast<std::uint32_t>(nearest[i]) & kRange) |
+                       ((std::bit_cast<std::uint32_t>(farthest[i]) + 0x7ffff) & kRange) >> 12;
 }
 
 /// The plane through three returns, in double precision and a fixed order of operations. Corners in
@@ -282,7 +268,9 @@ void MeshImage::vote(const QueryPoints& points, const std::int32_t* pixels, std:
   }
   const int window = 2 * padded_.half() + 1;
   const float* corner = padded_.corner(range_);
-  fetch_windows(corner, padded_.stride(), window, left, count, pixels);
+  for (std::size_t k = 0; k < count; ++k)
+    for (int row = 0; row < window; ++row)
+      __builtin_prefetch(corner + pixels[left[k]] + row * padded_.stride());
   dispatch<VoteByWindows>(count, left, points.range, pixels, open, corner, padded_.stride(), window,
                           parameters_.tolerance, statics, dynamics);
 }

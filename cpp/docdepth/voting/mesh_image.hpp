@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "docdepth/mesh/scan_mesh.hpp"
-#include "docdepth/voting/constants.hpp"
 #include "docdepth/voting/key_frame.hpp"
 #include "docdepth/voting/padded_range_image.hpp"
 

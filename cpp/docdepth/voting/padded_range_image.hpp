@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "docdepth/geometry/spherical.hpp"
@@ -10,6 +11,15 @@
 #include "docdepth/voting/key_frame.hpp"
 
 namespace docdepth {
+
+/// Pixel size of the images [rad]: 0.2 degrees, d_theta = d_phi of the paper.
+constexpr double kImageResolution = 0.2 * 3.14159265358979323846 / 180.0;
+/// Edge of the window around a pixel [pixel]: w of the paper (IV-D).
+constexpr int kWindow = 5;
+/// Range tolerance of a return [m]: tau of the paper (IV-D).
+constexpr float kRangeTolerance = 0.2f;
+/// Range of a pixel without a return.
+constexpr float kEmpty = std::numeric_limits<float>::infinity();
 
 /// The returns of a sweep, one column per coordinate. Points that are not finite or lie at the
 /// origin are left out.
@@ -37,9 +47,6 @@ class PaddedRangeImage {
   /// Pixels of any points. Far above or below the returns they are in rows with empty windows.
   void find(const QueryPoints& points, std::int32_t* pixels) const;
 
-  /// The same for one point without vector instructions; -1 where windows are empty.
-  std::ptrdiff_t pixel(float x, float y, float z, float range) const;
-
   /// Copy the columns of either end of an image beyond the other end.
   template <class Value>
   void wrap(std::vector<Value>& image) const {
@@ -55,6 +62,11 @@ class PaddedRangeImage {
   /// @param nearest  receives its index in `returns`, if not null
   std::vector<float> nearest_ranges(const Returns& returns, const std::vector<std::int32_t>& pixels,
                                     std::vector<std::uint32_t>* nearest = nullptr) const;
+
+  /// Minimum and maximum in the window around each pixel of an image. Pixels whose windows are not
+  /// within it become 0, or are not valid at the ends of rows.
+  std::vector<float> window_minimum(const std::vector<float>& image) const;
+  std::vector<float> window_maximum(const std::vector<float>& image) const;
 
   /// The first corner of the window of pixel p is at this address + p.
   const float* corner(const std::vector<float>& image) const {

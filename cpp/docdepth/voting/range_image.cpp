@@ -1,13 +1,13 @@
 #include "docdepth/voting/range_image.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
-#include <cstring>
 #include <limits>
 #include <stdexcept>
 
 #include "docdepth/geometry/simd.hpp"
-#include "docdepth/voting/window.hpp"
+#include "docdepth/voting/padded_range_image.hpp"
 
 namespace docdepth {
 namespace {
@@ -33,9 +33,7 @@ constexpr std::int32_t kFirstCell = 0x3f800000 >> kCellBits;  // holds all neare
 constexpr std::int32_t kLastCell = 0xffff;  // holds all farther ranges: from 256 m on
 
 DOCDEPTH_KERNEL std::int32_t cell_of(float range) {
-  std::int32_t bits;
-  std::memcpy(&bits, &range, sizeof bits);
-  const std::int32_t cell = (bits >> kCellBits) - kFirstCell;
+  const std::int32_t cell = (std::bit_cast<std::int32_t>(range) >> kCellBits) - kFirstCell;
   return std::min(std::max(cell, 0), kLastCell);
 }
 
@@ -124,15 +122,13 @@ struct DecideVotes {
 
 RangeImage::RangeImage(const Points& points, const bool* ground,
                        const RangeImageParameters& parameters)
-    : padded_(parameters.resolution, parameters.window / 2),
-      tolerance_(parameters.tolerance),
-      plain_(parameters.plain) {
+    : padded_(parameters.resolution, parameters.window / 2), tolerance_(parameters.tolerance) {
   if (parameters.window < 1 || parameters.window % 2 == 0)
     throw std::invalid_argument("the window must be an odd number of pixels");
   if (!(tolerance_ > 0.0f && tolerance_ < kMaxTolerance))
     throw std::invalid_argument("the range tolerance must be positive");
   draw(points, ground);
-  if (!plain_) summarize_windows();
+  summarize_windows();
 }
 
 void RangeImage::draw(const Points& points, const bool* ground) {
@@ -157,20 +153,18 @@ void RangeImage::summarize_windows() {
   // dynamic: the farthest one decides.
   std::vector<float> seen(range_);
   for (float& range : seen) range = range == kEmpty ? 0.0f : range;
-  const std::vector<float> farthest = window_maximum(seen, stride, padded_.half());
+  const std::vector<float> farthest = padded_.window_maximum(seen);
   for (std::size_t i = 0; i < padded_.size(); ++i)
     if (ground_[i]) spans_[i].fill(static_cast<std::uint32_t>(cell_of(farthest[i])) * 0x10001);
 }
 
 void RangeImage::find(const QueryPoints& points, std::int32_t* pixels) const {
-  if (plain_) return;  // the plain loop finds pixels on its own
   padded_.find(points, pixels);
   for (std::size_t i = 0; i < points.size; ++i) __builtin_prefetch(&spans_[pixels[i]]);
 }
 
 void RangeImage::vote(const QueryPoints& points, const std::int32_t* pixel, std::uint16_t* statics,
                       std::uint16_t* dynamics) const {
-  if (plain_) return vote_plainly(points, statics, dynamics);
   static_assert(std::tuple_size<Spans>::value == kSpans);
   std::uint32_t spans[kSpans * QueryPoints::kMax];
   for (std::size_t i = 0; i < points.size; ++i)
@@ -182,18 +176,6 @@ void RangeImage::vote(const QueryPoints& points, const std::int32_t* pixel, std:
     statics[i] += vote == Vote::kStatic;
     dynamics[i] += vote == Vote::kDynamic;
   });
-}
-
-void RangeImage::vote_plainly(const QueryPoints& points, std::uint16_t* statics,
-                              std::uint16_t* dynamics) const {
-  for (std::size_t i = 0; i < points.size; ++i) {
-    const std::ptrdiff_t pixel =
-        padded_.pixel(points.x[i], points.y[i], points.z[i], points.range[i]);
-    if (pixel < 0) continue;
-    const Vote vote = vote_at(points.range[i], pixel);
-    statics[i] += vote == Vote::kStatic;
-    dynamics[i] += vote == Vote::kDynamic;
-  }
 }
 
 /// Algorithm 1 as in the paper. The comparison rho < I - tau is rho - I < -tau here, so that both

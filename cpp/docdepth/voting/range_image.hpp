@@ -5,7 +5,6 @@
 #include <cstdint>
 #include <vector>
 
-#include "docdepth/voting/constants.hpp"
 #include "docdepth/voting/key_frame.hpp"
 #include "docdepth/voting/padded_range_image.hpp"
 
@@ -16,7 +15,6 @@ struct RangeImageParameters {
   double resolution = kImageResolution;  ///< pixel size [rad]
   int window = kWindow;                  ///< edge of the window, w of the paper [pixel]; odd
   float tolerance = kRangeTolerance;     ///< range tolerance, tau of the paper [m]
-  bool plain = false;                    ///< vote by the plain loop, the reference for the fast one
 };
 
 /// The nearest return of each pixel, and whether that is ground.
@@ -38,13 +36,10 @@ class RangeImage : public KeyFrame {
 
   void draw(const Points& points, const bool* ground);
   void summarize_windows();
-  void vote_plainly(const QueryPoints& points, std::uint16_t* static_votes,
-                    std::uint16_t* dynamic_votes) const;
   Vote vote_at(float range, std::size_t pixel) const;
 
   PaddedRangeImage padded_;
-  float tolerance_;  ///< [m]
-  bool plain_;
+  float tolerance_;                   ///< [m]
   std::vector<float> range_;          ///< nearest return [m], or kEmpty
   std::vector<std::uint8_t> ground_;  ///< whether that is ground
 

@@ -5,8 +5,8 @@
 #include "docdepth/geometry/rigid.hpp"
 #include "docdepth/geometry/simd.hpp"
 #include "docdepth/geometry/spherical.hpp"
-#include "docdepth/voting/constants.hpp"
 #include "docdepth/voting/key_frame.hpp"
+#include "docdepth/voting/padded_range_image.hpp"
 
 namespace docdepth {
 namespace {

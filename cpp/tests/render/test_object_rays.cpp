@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "docdepth/render/constants.hpp"
-#include "docdepth/render/object_rays.hpp"
+#include "docdepth/render/mesh_frame.hpp"
 
 using namespace docdepth;
 

@@ -3,7 +3,7 @@
 #include <memory>
 #include <vector>
 
-#include "docdepth/evidence/dynamic_voxels.hpp"
+#include "docdepth/evidence/points_inside.hpp"
 
 using namespace docdepth;
 

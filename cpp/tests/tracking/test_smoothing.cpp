@@ -4,7 +4,7 @@
 #include <Eigen/LU>
 #include <cmath>
 
-#include "docdepth/paths/smoothing.hpp"
+#include "docdepth/tracking/motion_filter.hpp"
 
 using namespace docdepth;
 
