@@ -137,7 +137,7 @@ TEST_CASE("a path between and beyond its observations") {
   Path path;
   path.states = {{.time = 1, .position = {0, 0, 0}, .velocity = {4, 0, 0}},
                  {.time = 2, .position = {4, 2, 0}, .velocity = {8, 0, 0}, .heading = 0.4}};
-  path.extents.assign(2, {{-2, -1, 0}, {2, 1, 1.5f}});
+  path.extents = {{{-2, -1, 0}, {2, 1, 1.5f}}, {{-2, -1, 0}, {2.4f, 1, 1.5f}}};
   path.extent = {{-3, -1, 0}, {2, 1, 2}};
   const TrackPath track(path, {});
   CHECK((track.pose(1.25).translation() - Eigen::Vector3d(1, 0.5, 0)).norm() < 1e-9);
@@ -154,6 +154,7 @@ TEST_CASE("a path between and beyond its observations") {
   CHECK(box.half.x() == doctest::Approx(2));
   CHECK(box.contains({1.9f, 0.9f, 0.1f}, 0));
   CHECK(!box.contains({2.2f, 0, 0.1f}, 0.1f));
+  CHECK(track.box(1.25).half.x() == doctest::Approx(2));  // as in the nearest sweep
   CHECK(track.whole_box(1).half.x() == doctest::Approx(2.5));
   CHECK(track.whole_box(1).middle().x() == doctest::Approx(-0.5));
 }
