@@ -82,12 +82,7 @@ def doctor(as_json: Json = False) -> None:
 
 
 def examine_all() -> list[tuple[str, str, bool]]:
-    """Rows of name, finding, and whether it is well.
-
-    Returns
-    -------
-    list of (str, str, bool)
-    """
+    """Rows of name, finding, and whether it is well."""
     rows = [
         ("docdepth", __version__, True),
         ("Python", platform.python_version(), True),
@@ -142,30 +137,24 @@ def examine(package: str, modules: Mapping[str, Sequence[str]]) -> tuple[str, bo
         try:
             importlib.import_module(module)
         except Exception as error:
-            return f"{version} cannot be imported: {error}{_remedy(str(error))}", False
+            lacks = [debian for library, debian in _DEBIAN.items() if library in str(error)]
+            remedy = f"; on Debian: apt install {lacks[0]}" if lacks else ""
+            return f"{version} cannot be imported: {error}{remedy}", False
     return version, True
 
 
 def _examine_extra(
     extra: str, packages: list[str], modules: Mapping[str, Sequence[str]]
 ) -> tuple[str, bool]:
-    findings = {package: examine(package, modules) for package in packages}
-    if all(well for _, well in findings.values()):
-        return ", ".join(f"{p} {version}" for p, (version, _) in findings.items()), True
-    missing = [package for package, (finding, _) in findings.items() if finding == "missing"]
-    broken = [
-        f"{p} {finding}" for p, (finding, well) in findings.items() if not well and p not in missing
-    ]
+    examined = [(package, *examine(package, modules)) for package in packages]
+    if all(well for _, _, well in examined):
+        return ", ".join(f"{package} {version}" for package, version, _ in examined), True
+    missing = [package for package, finding, _ in examined if finding == "missing"]
+    told = [f"{p} {finding}" for p, finding, well in examined if not well and p not in missing]
     if missing:
         some = f"{', '.join(missing)} missing" if len(missing) < len(packages) else "not installed"
-        broken += [some, f'pip install "docdepth[{extra}]"']
-    return "; ".join(broken), False
-
-
-def _remedy(error: str) -> str:
-    """The Debian package of the library that an import lacks."""
-    packages = [package for library, package in _DEBIAN.items() if library in error]
-    return f"; on Debian: apt install {packages[0]}" if packages else ""
+        told += [some, f'pip install "docdepth[{extra}]"']
+    return "; ".join(told), False
 
 
 def _folded(name: str) -> str:

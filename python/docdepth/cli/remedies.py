@@ -37,25 +37,23 @@ def _command(code: str) -> str:
         return code
     if not isinstance(call, ast.Call):
         return code
-    options = [word for keyword in call.keywords for word in _option(keyword)]
+    options = []
+    for keyword in call.keywords:
+        name, value = _option(keyword.arg or ""), keyword.value
+        is_flag = isinstance(value, ast.Constant) and value.value is True
+        options += [name] if is_flag else [name, _value(value)]
     if not is_call:
-        return " ".join([*(_option_name(ast.unparse(name)) for name in call.args), *options])
+        return " ".join([*(_option(ast.unparse(name)) for name in call.args), *options])
     verb = _VERBS.get(ast.unparse(call.func).rpartition(".")[2])
     if verb is None:
         return code
-    places = [_value(place) for place in call.args if not _is_ellipsis(place)]
+    places = [_value(place) for place in call.args if ast.unparse(place) != "..."]
     if verb == "run" and len(places) == 2:
         places.insert(1, _OPTIONS["output"])
     return " ".join(["docdepth", verb, *places, *options])
 
 
-def _option(keyword: ast.keyword) -> list[str]:
-    name, value = _option_name(keyword.arg or ""), keyword.value
-    is_flag = isinstance(value, ast.Constant) and value.value is True
-    return [name] if is_flag else [name, _value(value)]
-
-
-def _option_name(argument: str) -> str:
+def _option(argument: str) -> str:
     return _OPTIONS.get(argument, f"--{argument.replace('_', '-')}")
 
 
@@ -64,7 +62,3 @@ def _value(value: ast.expr) -> str:
     if isinstance(value, ast.Constant):
         return shlex.quote(str(value.value))
     return ast.unparse(value).upper()
-
-
-def _is_ellipsis(value: ast.expr) -> bool:
-    return isinstance(value, ast.Constant) and value.value is ...
