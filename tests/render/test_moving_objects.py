@@ -31,7 +31,7 @@ from docdepth.render.object_views import (
     boxes_in_view,
     object_views,
 )
-from docdepth.render.selection import drawn_sweeps
+from docdepth.render.selection import drawn_sweeps, needed_sweeps
 from docdepth.render.track_sweeps import (
     MOST_TRACK_SWEEPS,
     near_vehicles,
@@ -260,7 +260,8 @@ def test_further_sweeps_show_a_vehicle_from_elsewhere_and_belong_to_its_track():
     assert min(track_sweeps(trajectory, beside, Tracks([seen]))) >= 20
     drawn = drawn_sweeps(trajectory, beside, TRIANGLES, Tracks([track]))
     assert not {*drawn.tracked} & {*drawn.static, *drawn.dynamic}
-    assert {i for i, whole in drawn.needed.items() if not whole} == {*drawn.tracked}
+    needed = needed_sweeps(trajectory, beside, TRIANGLES, Tracks([track]))
+    assert {i for i, whole in needed.items() if not whole} == {*drawn.tracked}
 
 
 def test_further_sweeps_are_those_that_looked_highest():

@@ -157,32 +157,16 @@ def track_objects(
             "%d objects move in this drive, more than ids; those after %d get instance 0",
             len(objects), MAX_TRACKS,
         )  # fmt: skip
-    origin, tracks = trajectory.poses[0, :3, 3], []
-    for number, of in enumerate(objects[:MAX_TRACKS], 1):
-        tracks.append(_track(number, times, origin, *of))
-        objects[number - 1] = None
+    tracks = []
+    for k, found in enumerate(objects[:MAX_TRACKS]):
+        sweeps, points, poses, velocities, deviations, of_surface, size, rigid = found
+        objects[k] = None
+        poses[:, :3, 3] += trajectory.poses[0, :3, 3]
+        size = np.maximum(size, MIN_SIZE)
+        kind = _kind(size, float(np.linalg.norm(velocities, axis=1).max()), rigid)
+        path = times[sweeps], poses, velocities
+        tracks.append(Track(k + 1, kind, *path, size, points, deviations, of_surface))
     return tracks
-
-
-def _track(
-    number: int,
-    times: NDArray[np.int64],
-    origin: NDArray[np.float64],
-    sweeps: NDArray[np.int64],
-    points: NDArray[np.int64],
-    poses: NDArray[np.float64],
-    velocities: NDArray[np.float64],
-    deviations: NDArray[np.float64],
-    surface_deviations: NDArray[np.float64],
-    size: NDArray[np.float64],
-    rigid: bool,
-) -> Track:
-    poses[:, :3, 3] += origin
-    size = np.maximum(size, MIN_SIZE)
-    speed = float(np.linalg.norm(velocities, axis=1).max())
-    kind = _kind(size, speed, rigid)
-    known = (deviations, surface_deviations)
-    return Track(number, kind, times[sweeps], poses, velocities, size, points, *known)
 
 
 def _kind(size: NDArray[np.float64], speed: float, rigid: bool) -> Kind:

@@ -70,11 +70,9 @@ class SensorRig(ShortRepr):
                     f"(at most {_MOST_SENSORS})"
                 )
         check_rigid(T)
-        lateral_offset, lidar_id = (
-            np.asarray(self.lateral_offset, np.float64),
-            np.asarray(self.lidar_id, np.uint8),
-        )
+        lateral_offset = np.asarray(self.lateral_offset, np.float64)
         lateral_offset = lateral_offset if lateral_offset.size else np.zeros(len(T))
+        lidar_id = np.asarray(self.lidar_id, np.uint8)
         lidar_id = lidar_id if lidar_id.size else np.arange(len(T), dtype=np.uint8)
         if lateral_offset.shape != (len(T),) or lidar_id.shape != (len(T),):
             raise InputError(
@@ -117,14 +115,12 @@ class SensorRig(ShortRepr):
 
     def select(self, rows: NDArray[np.bool_] | slice) -> SensorRig:
         """The rig of some of the points."""
-        ego_displacement = self.ego_displacement
-        if ego_displacement is not None:
-            ego_displacement = (
-                ego_displacement[rows]
-                if isinstance(rows, slice)
-                else ego_displacement.compress(rows, axis=0)
-            )
-        return replace(self, index=self.index[rows], ego_displacement=ego_displacement)
+        moved = self.ego_displacement
+        return replace(
+            self,
+            index=self.index[rows],
+            ego_displacement=None if moved is None else moved[rows],
+        )
 
     def with_lidar(self, T_lidar_sensor: NDArray[np.float64], points: int) -> SensorRig:
         """The rig with one more LiDAR, whose points come after the others."""

@@ -50,7 +50,8 @@ class Registration:
         self._map = small_gicp.GaussianVoxelMap(voxel_size)
         self._voxel_size, self._sampling = voxel_size, sampling
         self._neighbors, self._threads = neighbors, threads
-        self._empty, self._cloud, self._traffic = True, None, Traffic()
+        self._empty, self._traffic = True, Traffic()
+        self._cloud: Any = None
 
     def take(self, points: NDArray[np.float32], guess: NDArray[np.float64]) -> None:
         """Take the next deskewed sweep, without traffic: its points get their distributions.
@@ -61,11 +62,18 @@ class Registration:
         guess : ndarray of float64, shape (4, 4)
             Where it was taken, about.
         """
-        rising, road = _thinned(points.astype(np.float64), self._sampling, self._voxel_size)
+        small_gicp, thinned = self._small_gicp, points.astype(np.float64)
+        if self._sampling is not None:
+            thinned = small_gicp.voxelgrid_sampling(thinned, self._sampling).points()[:, :3]
+        # One point in each voxel of the map; and level ground, if it is most of them.
+        rising, road = split_level_ground(thinned, self._voxel_size)
         seen = rising if len(road) else np.zeros((0, 3))
         along = self._traffic.left_out(seen, guess)
         rising = rising[~along] if along.any() else rising
-        self._cloud = _cloud(rising, road, self._neighbors, self._threads)
+        cloud = small_gicp.PointCloud(np.concatenate([rising, road]) if len(road) else rising)
+        tree = small_gicp.KdTree(cloud)
+        small_gicp.estimate_covariances(cloud, tree, self._neighbors, self._threads)
+        self._cloud = cloud
 
     def align(self, guess: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Register the sweep that was taken, from an initial guess (4, 4).
@@ -94,28 +102,6 @@ class Registration:
         """Add the sweep that was taken to the map."""
         self._map.insert(self._cloud, pose)
         self._empty = False
-
-
-def _thinned(
-    points: NDArray[np.float64], sampling: float | None, voxel_size: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """One point in each voxel, for a map of such voxels; and level ground if it is most of them."""
-    import small_gicp
-
-    if sampling is not None:
-        points = small_gicp.voxelgrid_sampling(points, sampling).points()[:, :3]
-    return split_level_ground(points, voxel_size)
-
-
-def _cloud(
-    rising: NDArray[np.float64], road: NDArray[np.float64], neighbors: int, threads: int
-) -> Any:
-    """A small_gicp.PointCloud with the distribution of each point."""
-    import small_gicp
-
-    cloud = small_gicp.PointCloud(np.concatenate([rising, road]) if len(road) else rising)
-    small_gicp.estimate_covariances(cloud, small_gicp.KdTree(cloud), neighbors, threads)
-    return cloud
 
 
 def _covariance(hessian: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:

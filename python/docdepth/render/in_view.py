@@ -6,6 +6,7 @@ A LiDAR looks all around, a camera ahead. What no camera sees of an object need 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -40,7 +41,7 @@ class TracksInView:
     def __init__(self, tracks: Tracks, trajectory: Trajectory, views: Sequence[View]) -> None:
         self._tracks, self._trajectory = tracks, trajectory
         self._images = _by_camera(views)
-        self._times: dict[int, NDArray[np.int64]] = {}
+        self._times_of = cache(self._find_times)
 
     def draws(self, instance: int, time: int) -> bool:
         """Whether an image draws what was seen of a track at ``time`` [ns].
@@ -56,12 +57,8 @@ class TracksInView:
         first = int(np.searchsorted(times, np.int64(time - reach)))
         return first < len(times) and int(times[first]) <= time + reach
 
-    def _times_of(self, instance: int) -> NDArray[np.int64]:
-        times = self._times.get(instance)
-        if times is None:
-            times = _times(self._tracks[instance], self._trajectory, self._images)
-            self._times[instance] = times
-        return times
+    def _find_times(self, instance: int) -> NDArray[np.int64]:
+        return _times(self._tracks[instance], self._trajectory, self._images)
 
 
 class _Images(NamedTuple):

@@ -50,8 +50,8 @@ _TRIANGLES_ONLY = {
 }
 
 _CONFIDENCE = {"triangles": (6.90, 0.46, 3.02, 2.32), "splats": (3.9, 1.0, 2.7, 0.0)}
-"""Weights a, b, c and d of :func:`confidence` [-], fitted by ``benchmarks/confidence.py`` to the
-exact depth of synthetic drives."""
+"""Weights a, b, c and d of :func:`confidence` [-], fitted to the exact depth of synthetic
+drives."""
 
 
 def compose_layers(
@@ -169,25 +169,16 @@ def confidence(
         NaN where there is no depth.
     """
     a, b, c, d = _CONFIDENCE["splats" if seen is None else "triangles"]
-    log_odds, edge, unseen = confidence_features(depth, support, measures, seen)
-    probability = 1 / (1 + np.exp(-(a + b * log_odds - c * edge - d * unseen)))
-    return np.where(np.isnan(depth), np.nan, probability).astype(np.float32)
-
-
-def confidence_features(
-    depth: NDArray[np.float32],
-    support: NDArray[np.uint16],
-    measures: NDArray[np.uint16],
-    seen: NDArray[np.uint8] | None = None,
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """``log_odds``, ``edge`` and ``unseen`` of :func:`confidence`, each of shape (h, w)."""
     disagreeing = measures.astype(np.float32) - support
     log_odds = np.log((support.astype(np.float32) + 0.25) / (disagreeing + 1))
+    unseen = np.zeros(depth.shape, np.float32)
     if seen is not None:
         log_odds = np.maximum(log_odds, np.float32(np.log(0.25)))
+        unseen = (seen != AGREED).astype(np.float32)
     largest = cv2.dilate(_relative_curvature(depth), np.ones((7, 7), np.uint8))
-    unseen = np.zeros(depth.shape) if seen is None else seen != AGREED
-    return log_odds, np.log10(np.clip(largest, 1e-3, 1)) / 3 + 1, unseen.astype(np.float32)
+    edge = np.log10(np.clip(largest, 1e-3, 1)) / 3 + 1
+    probability = 1 / (1 + np.exp(-(a + b * log_odds - c * edge - d * unseen)))
+    return np.where(np.isnan(depth), np.nan, probability).astype(np.float32)
 
 
 def _relative_curvature(depth: NDArray[np.float32]) -> NDArray[np.float32]:

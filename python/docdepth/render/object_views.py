@@ -7,6 +7,7 @@ the image do.
 from __future__ import annotations
 
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -226,7 +227,9 @@ def _chosen(
     time: int,
 ) -> tuple[list[_Observation], list[_Observation]]:
     """The observations of an object by the sweeps around the image, and by others, to draw."""
-    around = sorted((one for one in observations if one.sweep in drawn.dynamic), key=_time_distance)
+    around = sorted(
+        (one for one in observations if one.sweep in drawn.dynamic), key=attrgetter("time_distance")
+    )
     if track.kind != "vehicle":
         return [one for one in around if one.time_distance <= MAX_NONRIGID_SECONDS * 1e9], []
     distance = lidar_range(track, trajectory, time)
@@ -234,7 +237,9 @@ def _chosen(
         return around, []
     stamp = {one.sweep: int(trajectory.times[one.sweep]) for one in observations}
     known = [one for one in observations if _is_known(track, stamp[one.sweep])]
-    others = sorted((one for one in known if one.sweep not in drawn.dynamic), key=_time_distance)
+    others = sorted(
+        (one for one in known if one.sweep not in drawn.dynamic), key=attrgetter("time_distance")
+    )
     own = set(sweeps_of_track(track, trajectory, time))
     further = [one for one in others if one.sweep in own]
     others = [
@@ -249,7 +254,3 @@ def _chosen(
         spread = np.linspace(0, len(others) - 1, room).round().astype(int)
         others = [others[i] for i in spread.tolist()]
     return around, others + further
-
-
-def _time_distance(one: _Observation) -> int:
-    return one.time_distance

@@ -84,14 +84,7 @@ class RenderSweep:
             sensor_rig = sensor_rig.select(drawn)
         objects = objects or dynamic_objects(frame)
         self.objects = objects.select(drawn)
-        self._triangulate(points.compress(drawn, axis=0), classid[drawn], sensor_rig)
-
-    def _triangulate(
-        self,
-        points: NDArray[np.float32],
-        classid: NDArray[np.uint16],
-        sensor_rig: SensorRig | None,
-    ) -> None:
+        points, classid = points.compress(drawn, axis=0), classid[drawn]
         # This mesh differs from the one that votes use: its ray origins move with the vehicle,
         # which changes which returns are neighbours, and points beyond the crop are missing.
         meshes = ScanMesh(points, sensor_rig=sensor_rig).parts

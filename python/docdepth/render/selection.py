@@ -49,11 +49,6 @@ class DrawnSweeps(NamedTuple):
         others = [i for i in self.static if i not in self.dynamic]
         return self.dynamic + others + self.tracked
 
-    @property
-    def needed(self) -> dict[int, bool]:
-        """All sweeps, and whether they are needed whole or only what is near vehicles."""
-        return dict.fromkeys(self.tracked, False) | dict.fromkeys(self.static + self.dynamic, True)
-
 
 def drawn_sweeps(
     trajectory: Trajectory,
@@ -84,7 +79,8 @@ def needed_sweeps(
         Whether a sweep is needed whole, or only what is near vehicles
         (:func:`~docdepth.render.track_sweeps.near_vehicles`).
     """
-    return drawn_sweeps(trajectory, time, parameters, tracks).needed
+    drawn = drawn_sweeps(trajectory, time, parameters, tracks)
+    return dict.fromkeys(drawn.tracked, False) | dict.fromkeys(drawn.static + drawn.dynamic, True)
 
 
 def times_needed(
