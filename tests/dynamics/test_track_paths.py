@@ -137,9 +137,7 @@ def test_the_box_of_a_standing_object_does_not_move():
 )
 def test_a_path_is_as_exact_as_it_states(place, count):
     """Sweeps in a row err alike; counted as independent they claim a third of their deviation."""
-    (track,) = tracking_of(
-        detections_of([Thing(CAR, place, range(30))], count)[0], straight(count)
-    ).tracks
+    (track,) = tracks_of([Thing(CAR, place, range(30))], count)
     sweeps = track.times // 100_000_000
     off = track.poses[:, :2, 3] - [place(i) for i in sweeps.tolist()]
     weight = track.deviations[:, None] ** -2
@@ -201,8 +199,7 @@ def test_what_stands_beside_a_van_makes_it_no_larger():
     van = Thing((2.2, 5.0, 2.0), lambda i: (14.0, 0.3 * i - 9), range(count))
     bush = Thing((1.2, 3.0, 3.0), parked_at(17.2, 0))
     beside = [i for i in range(count) if abs(van.at(i)[1]) < 3.8]
-    detections, _ = detections_of([van, bush], count, joined={(0, 1): beside}, drive=stands)
-    (track,) = tracking_of(detections, stands).tracks
+    (track,) = tracks_of([van, bush], count, drive=stands, joined={(0, 1): beside})
     np.testing.assert_allclose(track.size[:2], (5, 2.2), atol=0.2)  # else 7.4 and 3.8
     truth = [van.at(i) for i in (track.times // 100_000_000).tolist()]
     np.testing.assert_allclose(track.poses[:, :2, 3], truth, atol=0.2)

@@ -4,6 +4,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from dynamics_reference import dynamic_voxels as reference_voxels
 from things import (
     CAR,
     LORRY,
@@ -22,7 +23,6 @@ from things import (
     tracks_of,
     waits,
 )
-from tracks_reference import dynamic_voxels as reference_voxels
 
 import docdepth._core as _core
 from docdepth.dynamics import tracking
@@ -364,16 +364,14 @@ def test_what_the_lidar_sees_of_its_own_vehicle_is_not_tracked():
     ahead = [0.8 * i + 1 + 0.02 * max(0, i - 20) ** 2 for i in range(40)]
     cyclist = Thing((1.7, 0.6, 1.7), lambda i: (ahead[i], 2.2), range(40))
     for things, count in (((rack, cyclist), 1), ((cyclist,), 1), ((rack,), 0)):
-        detections, _ = detections_of(things, 40)
-        assert len(tracking_of(detections, straight(40)).tracks) == count
+        assert len(tracks_of(things, 40)) == count
 
 
 def test_a_thing_beside_a_lidar_that_stands_is_tracked():
     """It waits for most of the drive, at the same place of both frames, and goes."""
     there = Trajectory(straight(40).times, np.repeat(straight(1).poses, 40, 0))
     things = [Thing(PERSON, lambda i: (1 + max(0, i - 35) * 0.5, 2.0), range(36, 40))]
-    detections, _ = detections_of(things, 40, drive=there)
-    assert len(tracking_of(detections, there).tracks) == 1
+    assert len(tracks_of(things, 40, drive=there)) == 1
 
 
 def test_a_bin_that_a_pedestrian_leaves_is_not_part_of_him():
