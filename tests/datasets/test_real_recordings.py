@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from conformance import check
 from scipy.optimize import least_squares
 from vehicles import nuscenes_tables
@@ -136,39 +135,6 @@ def test_times_that_wrap_are_ignored_with_a_warning(recordings: Path, caplog) ->
     assert dataset.times.tolist() == [1673400472138016708], "of the file's name"
     assert dataset.sweep(0).relative_time is None
     assert "they are ignored" in caplog.text
-
-
-def test_a_folder_of_real_pcd_with_a_fisheye(recordings: Path, tmp_path: Path) -> None:
-    acfr = recordings / "acfr"
-    info = yaml.safe_load((acfr / "camera_info.yaml").read_text())
-    numbers = sorted(int(file.stem[4:-5]) for file in (acfr / "pcd").glob("*_full.pcd"))[:6]
-    for folder in ("sweeps", "images"):
-        (tmp_path / folder).mkdir()
-    for number in numbers:
-        (tmp_path / "sweeps" / f"{number}.pcd").symlink_to(acfr / "pcd" / f"pose{number}_full.pcd")
-        (tmp_path / "images" / f"{number}.png").symlink_to(acfr / "images" / f"pose{number}.png")
-    camera = {
-        "images": "images",
-        "times": "sweeps",
-        "K": info["K"],
-        "distortion": info["D"],
-        "model": "fisheye",
-        "T_camera_lidar": [0, -1, 0, 0, 0, 0, -1, 0, 1, 0, 0, 0],
-    }
-    entries = {
-        "sweeps": "sweeps",
-        "rate": 1,
-        "motion_compensated": True,
-        "cameras": {"gmsl": camera},
-    }
-    (tmp_path / "docdepth.yaml").write_text(yaml.safe_dump(entries))
-    dataset = open_dataset(tmp_path)
-    check(dataset, "folder")
-    assert len(dataset) == 6
-    sweep = dataset.sweep(0)
-    assert len(sweep.points) == 23969
-    assert set(sweep.ring) == set(range(16))
-    np.testing.assert_allclose(sweep.points[0], [1.373171, -2.6457233, -0.79871565], rtol=1e-7)
 
 
 def test_point_times_of_a_real_ouster(recordings: Path) -> None:
