@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import numpy as np
 import pytest
 from formats import WRITERS
 from kitti_drives import T_camera0_lidar, numbers
+from writers import truncate
 
 from docdepth.datasets import open_dataset
 from docdepth.errors import CalibrationError, DatasetError
@@ -22,6 +25,14 @@ def gone(file: Path) -> None:
 
 def text(content: str) -> Change:
     return lambda file: file.write_text(content)
+
+
+def content(made: bytes) -> Change:
+    return lambda file: file.write_bytes(made)
+
+
+def cut(file: Path) -> None:
+    truncate(file, 20)
 
 
 def lines(*chosen: int | str) -> Change:
@@ -55,6 +66,8 @@ def extrinsics(change: Callable[[np.ndarray], np.ndarray]) -> Change:
 
 
 D, C = DatasetError, CalibrationError
+# Without mtime the bytes would tell the time.
+NO_TABLES = (b"", b"nothing", gzip.compress(pickle.dumps([1, 2]), mtime=0))
 STAMPS = "velodyne_points/timestamps.txt"
 # Format, file, what happens to it, class of the error, what it tells besides the name of the file.
 BROKEN: list[tuple[str, str, Change, type, str]] = [
@@ -105,6 +118,10 @@ BROKEN: list[tuple[str, str, Change, type, str]] = [
     ("PandaSet", "front_camera/timestamps.json", text("[1, 2, 3, 3, 4]"), D, "frame 3"),
     ("PandaSet", "front_camera/timestamps.json", text('[1, 2, 3, 4, "x"]'), D, "seconds"),
     ("PandaSet", "front_camera/intrinsics.json", text("{}"), C, "fx"),
+    *(("PandaSet", "lidar/02.pkl.gz", content(made), D, "(frame 2)") for made in NO_TABLES),
+    ("Waymo", "lidar_calibration/*.parquet", gone, D, "missing"),
+    ("Waymo", "lidar_calibration/*.parquet", cut, D, "no whole Parquet file"),
+    ("Argoverse 2", "egovehicle_SE3_sensor.feather", gone, D, "missing"),
     ("nuScenes", "calibrated_sensor.json", swap('"translation": [', '"translation": [null, '), D,
      "no pose"),
 ]  # fmt: skip

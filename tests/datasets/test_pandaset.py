@@ -61,14 +61,3 @@ def test_a_pickle_that_would_run_a_program(pandaset: Path, tmp_path: Path) -> No
     with pytest.raises(DatasetError, match=r"01\.pkl\.gz \(frame 1\) .*it asks for .*no table"):
         open_dataset(pandaset).sweep(1)
     assert not (tmp_path / "ran").exists()
-
-
-# Without mtime the bytes, and with them the name of the test, would tell the time.
-NO_TABLE = gzip.compress(pickle.dumps([1, 2]), mtime=0)
-
-
-@pytest.mark.parametrize("content", [b"", b"nothing", NO_TABLE], ids=["empty", "text", "list"])
-def test_a_sweep_of_pandaset_that_is_no_table(pandaset: Path, content: bytes) -> None:
-    (pandaset / "lidar" / "01.pkl.gz").write_bytes(content)
-    with pytest.raises(DatasetError, match=r"01\.pkl\.gz \(frame 1\) .*table of pandas"):
-        open_dataset(pandaset).sweep(1)

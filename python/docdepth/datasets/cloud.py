@@ -28,7 +28,6 @@ class Cloud:
     intensity: NDArray[np.float32] | None = None  # (N,)
     ring: NDArray[np.uint16] | None = None  # (N,)
     times: NDArray[Any] | None = None  # (N,): As recorded, in any unit
-    T_world_lidar: NDArray[np.float64] | None = None  # (4, 4): The pose that comes with the sweep
 
 
 class LidarReader(Protocol):

@@ -167,10 +167,7 @@ class Recording(DatasetRepr):
     def sweep(self, index: int) -> Sweep:
         """Sweep ``index`` of all LiDARs, every row of the recording."""
         index = range(len(self))[index]
-        parts = [self._part(0, index, index)]
-        for number, partners in enumerate(self._partners, start=1):
-            if partners[index] >= 0:
-                parts.append(self._part(number, int(partners[index]), index))
+        parts = self._parts(index)
         sweep = Sweep(
             np.concatenate([part.points for part in parts]),
             self._readers[0].stream.names[index],
@@ -182,6 +179,11 @@ class Recording(DatasetRepr):
             joined_columns([part.cloud.ring for part in parts]),
         )
         return without_ego(sweep, self._settings.ego_boxes)
+
+    def _parts(self, index: int) -> list[Part]:
+        """What each LiDAR has of sweep ``index``."""
+        own = [index, *(int(partners[index]) for partners in self._partners)]
+        return [self._part(number, k, index) for number, k in enumerate(own) if k >= 0]
 
     def sweep_files(self, index: int) -> list[Path]:
         """The files of sweep ``index`` of each LiDAR, and the one that masks some of it."""
@@ -217,11 +219,12 @@ class Recording(DatasetRepr):
         if not is_there(file):
             return None
         labels = read_bytes(file, "copy the labels again")
-        whole = self.sweep(own) if measured is self._readers[0] else measured.read(own)
-        if len(labels) != 4 * len(whole.points):
+        whole = self._parts(own) if measured is self._readers[0] else [measured.read(own)]
+        count = sum(len(part.points) for part in whole)
+        if len(labels) != 4 * count:
             raise DatasetError(
-                f"{file} (frame {own}) has {len(labels)} bytes for a sweep of {len(whole.points)} "
-                "points; labels are one uint32 for each point, in the order of the sweep"
+                f"{file} (frame {own}) has {len(labels)} bytes for a sweep of {count} points; "
+                "labels are one uint32 for each point, in the order of the sweep"
             )
         return np.frombuffer(labels, "<u4").astype(np.uint32)
 
@@ -287,15 +290,12 @@ class Recording(DatasetRepr):
         """Points in the frame of the LiDAR that measured them, float32 (N, 3)."""
         points = cloud.points
         if self._world:
-            pose = cloud.T_world_lidar
-            if pose is None:
-                if self.poses is None:
-                    raise DatasetError(
-                        f"{self.path}: points are in the world, but there are no poses to bring "
-                        "them to the LiDAR; say poses in docdepth.yaml"
-                    )
-                pose = self.poses[own]
-            T = inverse(pose)
+            if self.poses is None:
+                raise DatasetError(
+                    f"{self.path}: points are in the world, but there are no poses to bring them "
+                    "to the LiDAR; say poses in docdepth.yaml"
+                )
+            T = inverse(self.poses[own])
             points = points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
             points[(cloud.points == 0).all(axis=1)] = np.nan
         return np.ascontiguousarray(points, np.float32)
