@@ -20,7 +20,7 @@ from docdepth.io.atomic import write_atomically
 from docdepth.io.calibration import write_calibration
 
 
-def quality_of(found: Calibration) -> dict[str, Any]:
+def quality_of(found: Calibration) -> dict[str, object]:
     """What a calibration is worth, ready for JSON.
 
     ``boards`` has for each board the RMS of its corners [px] and of its returns from the plane
@@ -35,7 +35,7 @@ def quality_of(found: Calibration) -> dict[str, Any]:
         }
         for one, (pixels, metres) in zip(found.boards, found.residuals, strict=True)
     }
-    quality: dict[str, Any] = {
+    quality: dict[str, object] = {
         "boards": boards,
         "not_used": found.not_used,
         "left_out_px": round(float(np.median([one.pixels for one in found.boards])), 2),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -37,7 +37,7 @@ def check(
         option("Run folder: is there room, may you write there?", "RUN", "-o --output"),
     ] = None,
     *,
-    inputs: dict[str, Any],
+    inputs: dict[str, object],
     preset: PresetName = "default",
     settings: Settings = None,
     format: Formats = None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -34,7 +34,7 @@ def inspect(
         "inspect.html"
     ),
     *,
-    inputs: dict[str, Any],
+    inputs: dict[str, object],
     as_json: Json = False,
 ) -> None:
     """Tell what a recording holds, and which frames, poses and times look wrong.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -76,7 +76,7 @@ def run(
         ),
     ] = None,
     *,
-    inputs: dict[str, Any],
+    inputs: dict[str, object],
     preset: Annotated[
         str | None,
         option(
@@ -89,7 +89,7 @@ def run(
     format: Formats = None,
     scale: Scale = None,
     layers: LayerNames = None,
-    execution: dict[str, Any],
+    execution: dict[str, object],
     as_json: Json = False,
 ) -> None:
     """Turn a recording into a depth map for every camera image: all stages.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +27,7 @@ _SAME_RAY_DEG = 0.01
 _SAME_PLACE = 0.02  # metres between points that are one
 
 
-def lidar_figures(sweep: Sweep, names: Sequence[str]) -> list[dict[str, Any]]:
+def lidar_figures(sweep: Sweep, names: Sequence[str]) -> list[dict[str, object]]:
     """Figures of each LiDAR of a sweep, ready for JSON.
 
     Parameters

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +66,7 @@ class Window(NamedTuple):
         return float(np.linalg.norm(self.measured[-1, :3, 3]) / (len(self.measured) - 1))
 
 
-def pose_figures(poses: Poses, times: NDArray[np.int64]) -> dict[str, Any]:
+def pose_figures(poses: Poses, times: NDArray[np.int64]) -> dict[str, object]:
     """Length, speeds, turns of a trajectory, ready for JSON."""
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     speed = steps / (np.diff(times) * 1e-9) if len(poses) > 1 else np.zeros(1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +54,7 @@ def row_shares(points: NDArray[np.float32]) -> dict[str, float]:
 
 def ego_body(
     sweeps: Sequence[NDArray[np.float32]], ground: GroundPlane | None
-) -> dict[str, Any] | None:
+) -> dict[str, object] | None:
     """The boxes of points that stay with the LiDAR while it moves: its vehicle.
 
     Parameters
@@ -116,7 +115,7 @@ def _steady(near: Sequence[NDArray[np.float32]]) -> NDArray[np.float32] | None:
     return points if len(points) >= _EGO_FEWEST * len(near) else None
 
 
-def time_figures(sweep: Sweep, period: float | None) -> dict[str, Any] | None:
+def time_figures(sweep: Sweep, period: float | None) -> dict[str, object] | None:
     """Times of the points of a sweep; None where they are not known.
 
     Parameters

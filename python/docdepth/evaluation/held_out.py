@@ -12,7 +12,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +83,7 @@ class HeldOutResult(Figures):
     camera_mae: float = math.nan
     camera_wrong: float = math.nan
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """All metrics by name, ready for JSON; None replaces NaN."""
         result = super().as_dict()
         result["all"]["point_to_point"] = result.pop("point_to_point")

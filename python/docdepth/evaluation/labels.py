@@ -94,7 +94,7 @@ class LabelResult(Figures):
     ignored: int
     flat = ("counts",)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """All metrics by name, ready for JSON; None replaces NaN."""
         result = super().as_dict()
         for name, _ in _STANDING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from hashlib import blake2b
 from operator import index
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -74,9 +74,9 @@ class Camera(ShortRepr):
         object.__setattr__(self, "width", width)
         object.__setattr__(self, "height", height)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Plain values that tell this camera from others; of a mask a hash."""
-        described: dict[str, Any] = {"K": self.K.tolist(), "size": [self.width, self.height]}
+        described: dict[str, object] = {"K": self.K.tolist(), "size": [self.width, self.height]}
         if self.mask is not None:
             described["mask"] = blake2b(np.packbits(self.mask).tobytes(), digest_size=8).hexdigest()
         return described

@@ -107,7 +107,7 @@ def run(
 
 
 def models_of(
-    inputs: RunInputs | Path | str, execution: Execution | None, options: dict[str, Any]
+    inputs: RunInputs | Path | str, execution: Execution | None, options: dict[str, object]
 ) -> tuple[RunInputs, Execution]:
     """Both models, with the fields that were named one by one."""
     of_inputs = {name: v for name, v in options.items() if name in RunInputs.model_fields}
@@ -119,7 +119,7 @@ def models_of(
     return inputs, _execution(execution, others)
 
 
-def _execution(execution: Execution | None, options: dict[str, Any]) -> Execution:
+def _execution(execution: Execution | None, options: dict[str, object]) -> Execution:
     """With the fields that were named one by one."""
     if unknown := options.keys() - Execution.model_fields:
         raise TypeError(f"unexpected keyword argument {min(unknown)!r}")

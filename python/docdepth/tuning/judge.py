@@ -49,7 +49,7 @@ class Judge:
         if self.by != "labels":
             run.calibration(run.depth_folder(self.camera))
 
-    def measure(self, trial: Path, threads: int = 0) -> dict[str, Any]:
+    def measure(self, trial: Path, threads: int = 0) -> dict[str, object]:
         """All metrics of a run folder by name."""
         if self.truth is None:
             options = {"camera": self.camera, "threads": threads}

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 from docdepth._core import __version__
 from docdepth.concurrency import Progress, null_progress
@@ -130,7 +129,7 @@ def _differing(own: Parameters, chosen: Parameters, *stages: str) -> bool:
     return any(getattr(own, stage) != getattr(chosen, stage) for stage in stages)
 
 
-def _state(run: RunFolder) -> dict[str, Any]:
+def _state(run: RunFolder) -> dict[str, object]:
     """The keys of the stages that trials may share."""
     return {stage: run.stage(stage).key for stage in ("odometry", "classify")}
 
@@ -144,7 +143,7 @@ class _Task:
     out: Path
     trial: Trial
     parameters: Parameters
-    state: dict[str, Any]
+    state: dict[str, object]
     threads: int
 
     @cached_property

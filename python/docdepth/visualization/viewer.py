@@ -31,7 +31,7 @@ from docdepth.visualization.drive_scene import (
 from docdepth.visualization.image_views import BOX_EDGES, box_corners, track_color, write_text
 from docdepth.visualization.pictures import colorize
 
-Scene: TypeAlias = tuple[dict[str, Any], NDArray[np.float64]]
+Scene: TypeAlias = tuple[dict[str, object], NDArray[np.float64]]
 """Geometries, and the pose of the LiDAR that they belong to."""
 
 _FRUSTUM = 2.0  # length of a camera's frustum [m]
@@ -178,7 +178,7 @@ def scene_geometries(
     poses: NDArray[np.float64] | None = None,
     views: Sequence[CameraView] = (),
     boxes: Sequence[tuple[Track, NDArray[np.float64]]] = (),
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Open3D geometries of a sweep or map, a trajectory, cameras and tracks.
 
     Parameters
@@ -278,7 +278,7 @@ def _picture(o3d: Any, view: CameraView) -> Any:
 
 
 def show(
-    geometries: dict[str, Any],
+    geometries: dict[str, object],
     T_world_lidar: NDArray[np.float64],
     image: Path | None = None,
     keys: Mapping[int, Callable[[], Scene]] | None = None,

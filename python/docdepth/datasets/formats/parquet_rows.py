@@ -31,7 +31,7 @@ class ParquetRows:
                 self.rows[tuple(int(part) for part in key)] = group, row
         self._group = None
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "_group": None}
 
     def read(self, key: Key, columns: tuple[str, ...], where: str) -> list[Any]:
