@@ -155,7 +155,21 @@ class _Pairs:
         return replace(fit, change=change, given=given[0])
 
     def far(self) -> EdgeFit | None:
-        """The best fit from changes that lie farther away."""
+        """The best fit from changes that lie farther away.
+
+        Of many starts one fits by chance. So every second image chooses, and the others confirm.
+        """
+        chosen = self._every_second(0)._best_far()
+        if chosen is None:
+            return None
+        start = _transform(chosen.change)
+        others = self._every_second(1).fit(start)
+        return self.fit(start) if others is not None and others.given > _GIVEN_FITS else None
+
+    def _every_second(self, first: int) -> _Pairs:
+        return _Pairs(self.stream, self.sweeps[first::2], self.slopes[first::2])
+
+    def _best_far(self) -> EdgeFit | None:
         starts = [_transform(change) for change in _far_changes()]
         seen = [self._edges(start, _EVERY) for start in starts]
         counts = [sum(map(len, edges)) for edges in seen]
@@ -166,8 +180,7 @@ class _Pairs:
                 likely.append((score, _transform(turn) @ start))
         likely.sort(key=lambda one: -one[0])
         rough = [self.fit(start, _EVERY) for _, start in likely[:_STARTS]]
-        best = max(rough, key=_score, default=None)
-        return None if best is None else self.fit(_transform(best.change))
+        return max(rough, key=_score, default=None)
 
     def _edges(self, change: Floats, every: int) -> list[Edges]:
         T = change @ self.stream.T_camera_lidar
