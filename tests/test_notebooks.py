@@ -36,39 +36,26 @@ def run_notebook(name: str, folder: Path) -> dict[str, object]:
     return space
 
 
-@pytest.fixture(scope="module")
-def names(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
-    """The names of the notebook about the whole method."""
-    return run_notebook("from_sweeps_to_depth", tmp_path_factory.mktemp("notebook"))
-
-
 @pytest.mark.slow
-def test_labels_and_depth_are_those_of_the_drive(names) -> None:
+def test_labels_and_depth_are_those_of_the_drive(tmp_path: Path) -> None:
+    names = run_notebook("from_sweeps_to_depth", tmp_path)
     assert np.isfinite(names["maps"]["default"]).mean() > 0.5
-    found = names["labels"][names["k"]].classid >= 100
+    found, moving = names["labels"][names["k"]].classid >= 100, names["moving"]
     assert found.sum() > 1000
-    assert (found & names["moving"]).sum() > 0.95 * found.sum()
-
-
-@pytest.mark.slow
-def test_parked_cars_do_not_count_as_moving(names) -> None:
-    """Their labels have an instance in the high 16 bits, so they are larger than 251."""
+    assert (found & moving).sum() > 0.95 * found.sum()
+    # Labels of parked cars have an instance in the high 16 bits, so they are larger than 251.
     parked = (names["truth"] & 0xFFFF == 10) & (names["truth"] >> 16 > 0)
     assert parked.sum() > 500
-    assert not (parked & names["moving"]).any()
-
-
-@pytest.mark.slow
-def test_open3d_gets_labels_and_the_coloured_cloud(names) -> None:
-    pytest.importorskip("open3d", reason="Open3D is not installed", exc_type=ImportError)
+    assert not (parked & moving).any()
+    if "geometries" not in names:
+        return  # without Open3D
     assert len(names["geometries"]["points"].points) == len(names["points"])
     dense = names["coloured"]["depth"]
     assert len(dense.points) == np.isfinite(names["maps"]["default"]).sum()
     assert np.asarray(dense.colors).std() > 0.05
     picture = names["folder"] / "view.png"
-    if not picture.is_file():
-        pytest.skip("Open3D cannot draw here: neither a display nor EGL")
-    assert os.path.getsize(picture) > 10_000
+    if picture.is_file():  # Open3D draws where there is a display or EGL
+        assert os.path.getsize(picture) > 10_000
 
 
 @pytest.mark.nightly

@@ -167,7 +167,7 @@ def test_a_lost_file_of_the_recording_is_named(drive: Path, tmp_path: Path) -> N
         if (stage, done) == ("register", 1):
             file.rename(tmp_path / "away")
 
-    with pytest.raises(Exception, match=r"000004\.bin \(frame 4\) has gone; put the sweep back"):
+    with pytest.raises(Exception, match=r"000004\.bin \(frame 4\) is missing"):
         run(tmp_path / "drive", tmp_path / "run", camera="image_2", progress=progress, threads=2)
     os.rename(tmp_path / "away", file)
     folder = run(tmp_path / "drive", tmp_path / "run", camera="image_2", threads=2)
