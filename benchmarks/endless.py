@@ -113,7 +113,7 @@ def odometry(options: argparse.Namespace, run: RunFolder) -> None:
 
 
 def estimate(options: argparse.Namespace, run: RunFolder, recording: Dataset) -> None:
-    run.start({"poses": options.poses}, Parameters())
+    run.start(None, Parameters())
     run_odometry(run, recording, recording.poses if options.poses == "exact" else None)
 
 
