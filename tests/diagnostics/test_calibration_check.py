@@ -15,7 +15,7 @@ from docdepth.config import parameters
 from docdepth.datasets import CameraStream
 from docdepth.diagnostics import calibration
 from docdepth.diagnostics.calibration import RunEdges, compare, edges_of_images, judge
-from docdepth.diagnostics.depth_edges import edges_of_map, pixels_of_tracks
+from docdepth.diagnostics.edge_fit import edges_of_map, pixels_of_tracks
 from docdepth.errors import CalibrationError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import rotation_exp
@@ -203,8 +203,8 @@ def test_the_verb(finished, tmp_path, monkeypatch) -> None:
     ended = cli("calibrate", "--check", run)
     assert ended.exit_code == 2
     assert "has 4 images" in str(ended.exception)
-    monkeypatch.setattr(calibration, "FEWEST_IMAGES", 3)
-    monkeypatch.setattr(calibration, "FEWEST_EDGES", 100)
+    monkeypatch.setattr(calibration, "_FEWEST_IMAGES", 3)
+    monkeypatch.setattr(calibration, "_FEWEST_EDGES", 100)
     ended = cli("calibrate", "--check", run, "-o", tmp_path / "check")
     assert ended.exit_code == 0, ended.output
     assert "the calibration" in ended.output

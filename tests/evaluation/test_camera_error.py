@@ -11,7 +11,7 @@ import pytest
 
 from docdepth.datasets import CameraStream
 from docdepth.diagnostics.calibration import RunEdges
-from docdepth.diagnostics.depth_edges import edges_of_map
+from docdepth.diagnostics.edge_fit import edges_of_map
 from docdepth.evaluation import camera_error as module
 from docdepth.evaluation.camera_error import camera_error, changed, difference
 from docdepth.geometry.camera import Camera

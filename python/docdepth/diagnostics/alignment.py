@@ -1,48 +1,43 @@
-"""Whether depth edges of the sweeps lie on the edges of the images, before a run.
+"""Whether depth edges of the sweeps lie on edges of the images (Levinson and Thrun, 2013).
 
-The fit that checks the depth maps of a run (:mod:`.calibration`) takes the edges of a few sweeps.
-It sees errors of less than two degrees, so it begins anew at larger ones where nothing fits well.
+Where a sweep jumps from one surface to another farther away, an image mostly has an edge, too. With
+the right calibration more depth edges lie on image edges than with any other. The score of the
+given one is compared with those of a camera that is turned or moved a little, and of images of
+other times. Nothing is said where the evidence is thin.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, Dataset, Sweep
-from docdepth.diagnostics.calibration import FEWEST_EDGES, FEWEST_IMAGES, in_words
-from docdepth.diagnostics.depth_edges import Edges, SweepEdges, edges_of_sweeps
-from docdepth.diagnostics.edge_fit import EdgeFit, fit_edges, likely_turn, slopes_of
-from docdepth.geometry.se3 import (
-    matrix_to_quaternion,
-    poses_from,
-    quaternion_to_matrix,
-    rotation_exp,
-    rotation_log,
-)
+from docdepth.diagnostics.alignment_views import View, edge_strength, scores_of, views_of
+from docdepth.geometry.se3 import matrix_to_quaternion, quaternion_to_matrix, rotation_exp
 
-Floats = NDArray[np.float64]
+Scores = NDArray[np.float64]
+Change = tuple[float, float, float, float, float, float]
+"""Turn of points about the camera's axes x, y, z [deg], then their shift along these [m]."""
 
-OFF = np.array([*np.radians([0.8, 0.8, 1.5]), *[0.2] * 3])
-"""Turn [rad] and shift [m] above which a calibration is wrong: sweeps have edges at their beams.
-
-Of few beams, right calibrations seem to roll by up to 1.3 degrees."""
-
-_DEVIATIONS = 2.0  # by which it must lie above
-_FITS = 1.2  # score of a fit that is taken without looking at larger errors
-_GIVEN_FITS = 1.1  # of `EdgeFit.given`: right ones have 1.13 (dark) to 1.65, others 0.8 to 1.1
-_CHANCE = 1.06  # score of edges that fit by chance
-_ROUNDS = 2  # fits, each from where the one before it ended
-_FARTHEST_DEG, _APART_DEG = 12.0, 3.0  # turns about x and y that fits begin from
-_ROLLS_DEG = (-9.0, -6.0, -3.0, 3.0, 6.0, 9.0)
+_FEWEST_PAIRS = 5  # with less the difference of two scores says nothing
+_STEP_DEG, _FARTHEST_DEG = 0.5, 4.0  # turns that are compared
+_WIDE_STEP_DEG, _WIDEST_DEG = 1.0, 12.0  # those where none of them fits
+_ROLLS_DEG = (-6.0, -4.0, -3.0, 3.0, 4.0, 6.0)
 _SHIFTS = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)  # metres along each axis
-_EVERY = 4  # every fourth edge chooses among them
-_SEEN = 0.5  # of the most edges that one of them sees: few may fit by chance
-_STARTS = 5  # best ones from which fits begin
-_LEAST_TRAVEL = 0.05  # metres
+_LIKE_TRAVEL = 0.6  # metres; shifts nearer to the LiDAR's way are told by what drives along
+_LEAST_TRAVEL = 0.25  # metres; shorter ways are like no shift that is compared
+_IMAGES_OFF = (-3, 3)  # images before and after; neighbours may fit as well
+_LEAST_DEG = 1.0  # a smaller turn is no error worth a warning
+_SIGNIFICANT = 3.5  # standard errors that the better score lies above
+_GAIN = 1.08  # and how much above
+_SHARP = 1.25  # best score over that of all turns: what a true fit reaches
+_ROLL_GAIN, _ROLL_SHARP = 1.15, 1.4  # of rolls; where all edges are level others fit by chance
+_MOVED_GAIN = 1.4  # where the vehicle moved between sweep and image, nobody knows how far
+_NO_FIT = 1.15  # score over that of all turns, below which a larger error is looked for
+_CHANCE, _CHANCE_ERRORS = 1.08, 2.0  # below it, also in standard errors, there is no fit at all
 _AT_ONCE = 10_000_000  # nanoseconds in which no vehicle moves far
 
 
@@ -62,9 +57,8 @@ def find_misalignment(
     Returns
     -------
     str or None
-        For example ``depth edges of the sweeps fit the images better when the camera turns 1.5
-        degrees to the right``; None where the given calibration fits, and where there are too few
-        edges to tell.
+        For example ``depth edges fit the images better when the camera turns 1.5 degrees to the
+        right``; None where the given calibration fits best, and where the evidence is thin.
 
     Raises
     ------
@@ -72,153 +66,189 @@ def find_misalignment(
         A sweep or an image is damaged.
     """
     sweeps = sweeps or {}
-    pairs = _Pairs.of(recording, stream, sweeps)
-    if pairs is None:
+    views = views_of(recording, stream, sweeps)
+    if len(views) < _FEWEST_PAIRS:
         return None
-    near = found = pairs.fit(np.eye(4))
-    if _score(found) < _FITS:
-        if _fits_in_another_order(recording, stream, sweeps, found):
-            return (
-                "depth edges of the sweeps fit the images if the quaternion of the extrinsics is "
-                "read in the other order, x y z w or w x y z"
-            )
-        found = max(found, pairs.far(), key=_score)
-    if found is None or found.score < _CHANCE:
-        if near is not None and near.given > _GIVEN_FITS:  # the images are dark
-            return None
-        return "depth edges of the sweeps fit the images by chance only"
-    off = pairs.off(recording, found)
-    if not off.any():
+    pairs = _Pairs(views, stream)
+    if not pairs.fit(_NO_FIT) and _fits_in_another_order(recording, stream, sweeps):
+        return (
+            "depth edges of the sweeps fit the images if the quaternion of the extrinsics is read "
+            "in the other order, x y z w or w x y z"
+        )
+    moved = _moved_meanwhile(recording, stream, views)
+    better = "depth edges of the sweeps fit the images better when "
+    found = pairs.best(pairs.turns, _MOVED_GAIN if moved else _GAIN)
+    if moved:
+        return None if found is None else better + in_words(found[0])
+    both = [found, pairs.best(pairs.shifts(), _GAIN)]
+    known = [one for one in both if one is not None]
+    if known:
+        return better + in_words(max(known, key=lambda one: one[1])[0])
+    found = pairs.best([(0, 0, roll, 0, 0, 0) for roll in _ROLLS_DEG], _ROLL_GAIN, _ROLL_SHARP)
+    if found:
+        return better + in_words(found[0])
+    late = pairs.better_images()
+    if late:
+        when = "later" if late > 0 else "earlier"
+        return f"{better}they are taken about {abs(late)} frames {when}"
+    if pairs.fit(_NO_FIT):
         return None
-    return f"depth edges of the sweeps fit the images better when {in_words(off, 1)}"
+    found = pairs.best(_turns(_WIDE_STEP_DEG, _WIDEST_DEG), _GAIN)
+    if found:
+        return better + in_words(found[0])
+    return "depth edges of the sweeps fit the images by chance only" if pairs.no_fit() else None
 
 
 def _fits_in_another_order(
-    recording: Dataset, stream: CameraStream, sweeps: Mapping[int, Sweep], given: EdgeFit | None
+    recording: Dataset, stream: CameraStream, sweeps: Mapping[int, Sweep]
 ) -> bool:
     """Whether the quaternion of a camera that does not fit has its w at the wrong end."""
     quaternion = matrix_to_quaternion(stream.T_camera_lidar[:3, :3])
     for by in (-1, 1):
         T = stream.T_camera_lidar.copy()
         T[:3, :3] = quaternion_to_matrix(np.roll(quaternion, by))
-        other = _Pairs.of(recording, replace(stream, T_camera_lidar=T), sweeps)
-        fit = None if other is None else other.fit(np.eye(4), _EVERY)
-        if _score(fit) > max(_score(given), _FITS):
+        other = replace(stream, T_camera_lidar=T)
+        views = views_of(recording, other, sweeps)
+        if len(views) >= _FEWEST_PAIRS and _Pairs(views, other).fit(_SHARP):
             return True
     return False
 
 
-def _score(fit: EdgeFit | None) -> float:
-    return 0.0 if fit is None else fit.score
+def _moved_meanwhile(recording: Dataset, stream: CameraStream, views: Sequence[View]) -> bool:
+    """Whether the vehicle may have moved between sweeps and images, and no poses tell how far."""
+    if recording.poses is not None:
+        return False
+    times = stream.times[[view.image for view in views]]
+    apart = np.abs(recording.times[:, None] - times).min(axis=0)
+    return float(np.median(apart)) > _AT_ONCE
 
 
 @dataclass
 class _Pairs:
-    """Sweeps and the images that were taken meanwhile.
+    """Scores of the pairs as given, and after changes.
 
     Attributes
     ----------
-    stream : CameraStream
-    sweeps : list of SweepEdges
-    slopes : list
-        Of each image, from :func:`slopes_of`.
+    given : ndarray of float64, shape (n,)
+        Of each pair with the given calibration.
+    chance : ndarray of float64, shape (n,)
+        Of each pair on average over all turns.
     """
 
+    views: Sequence[View]
     stream: CameraStream
-    sweeps: list[SweepEdges]
-    slopes: list[list[NDArray[np.float32]]]
 
-    @staticmethod
-    def of(recording: Dataset, stream: CameraStream, sweeps: Mapping[int, Sweep]) -> _Pairs | None:
-        """None where there are too few edges to tell."""
-        found = [one for one in edges_of_sweeps(recording, stream, sweeps) if one.ends.size]
-        if len(found) < FEWEST_IMAGES or sum(one.ends.shape[1] for one in found) < FEWEST_EDGES:
+    def __post_init__(self) -> None:
+        self.turns = _turns(_STEP_DEG, _FARTHEST_DEG)
+        self.given = self._after((0, 0, 0, 0, 0, 0))
+        self._turned = np.array([self._after(turn) for turn in self.turns])
+        self.chance: Scores = self._turned.mean(axis=0)
+
+    def fit(self, least: float) -> bool:
+        """Whether the given calibration is so many times better than all turns."""
+        return bool(self.given.mean() > least * self.chance.mean())
+
+    def best(
+        self, changes: Sequence[Change], gain: float, sharp: float = _SHARP
+    ) -> tuple[Change, float] | None:
+        """The change that fits best and its score, if it is clearly better than the given."""
+        scores = self._turned
+        if changes is not self.turns:
+            scores = np.array([self._after(change) for change in changes])
+        mean = scores.mean(axis=1)
+        k = int(mean.argmax())
+        small = 0 < np.linalg.norm(changes[k][:3]) < _LEAST_DEG or not any(changes[k])
+        if small or mean[k] < sharp * self.chance.mean():
             return None
-        slopes = []
-        for one in found:
-            image = stream.rectified_image(one.image)
-            assert image is not None
-            slopes.append(slopes_of(image, stream.camera))
-        return _Pairs(stream, found, slopes)
+        return (changes[k], float(mean[k])) if _is_better(scores[k], self.given, gain) else None
 
-    def fit(self, start: Floats, every: int = 1) -> EdgeFit | None:
-        """The change that fits best near a transform of points in the camera's frame."""
-        given = []
-        for _ in range(_ROUNDS):
-            edges = self._edges(start, every)
-            if every * sum(map(len, edges)) < FEWEST_EDGES:
-                return None
-            fit = fit_edges(edges, self.slopes, self.stream.camera)
-            given.append(fit.given)
-            start = _transform(fit.change) @ start
-        change = np.concatenate([rotation_log(start[:3, :3]), start[:3, 3]])
-        return replace(fit, change=change, given=given[0])
-
-    def far(self) -> EdgeFit | None:
-        """The best fit from changes that lie farther away.
-
-        Of many starts one fits by chance. So every second image chooses, and the others confirm.
-        """
-        chosen = self._every_second(0)._best_far()
-        if chosen is None:
-            return None
-        start = _transform(chosen.change)
-        others = self._every_second(1).fit(start)
-        return self.fit(start) if others is not None and others.given > _GIVEN_FITS else None
-
-    def _every_second(self, first: int) -> _Pairs:
-        return _Pairs(self.stream, self.sweeps[first::2], self.slopes[first::2])
-
-    def _best_far(self) -> EdgeFit | None:
-        starts = [_transform(change) for change in _far_changes()]
-        seen = [self._edges(start, _EVERY) for start in starts]
-        counts = [sum(map(len, edges)) for edges in seen]
-        likely = []
-        for start, edges, count in zip(starts, seen, counts, strict=True):
-            if count and count > _SEEN * max(counts):
-                score, turn = likely_turn(edges, self.slopes, self.stream.camera)
-                likely.append((score, _transform(turn) @ start))
-        likely.sort(key=lambda one: -one[0])
-        rough = [self.fit(start, _EVERY) for _, start in likely[:_STARTS]]
-        return max(rough, key=_score, default=None)
-
-    def _edges(self, change: Floats, every: int) -> list[Edges]:
-        T = change @ self.stream.T_camera_lidar
-        return [one.seen_by(T, self.stream.camera, every) for one in self.sweeps]
-
-    def off(self, recording: Dataset, fit: EdgeFit) -> Floats:
-        """The parts of a change that are surely errors of the calibration; 0 for others.
+    def shifts(self) -> list[Change]:
+        """Shifts that are compared.
 
         A vehicle that drives along with the LiDAR stays where the sweep saw it, so its edges lie
         off by the LiDAR's way from the sweep to the image. A shift like that tells nothing.
         """
-        change = fit.change.copy()
-        travel = np.median([one.travel for one in self.sweeps], axis=0)
+        travel = np.median([view.travel for view in self.views], axis=0)
         ahead = self.stream.T_camera_lidar[:3, :3] @ travel
-        if np.linalg.norm(ahead) > _LEAST_TRAVEL:
-            change[3:] -= np.clip(change[3:] @ ahead / (ahead @ ahead), 0, 1) * ahead
-        if self._moved_meanwhile(recording):
-            change[3:] = 0
-        surely = np.abs(change) - _DEVIATIONS * fit.deviations > OFF
-        return np.where(surely, change, 0.0)
+        if np.linalg.norm(ahead) < _LEAST_TRAVEL:
+            return _shifts()
+        return [s for s in _shifts() if np.linalg.norm(ahead - s[3:]) > _LIKE_TRAVEL]
 
-    def _moved_meanwhile(self, recording: Dataset) -> bool:
-        """Whether the vehicle may have moved from sweeps to images, and no poses tell how far."""
-        if recording.poses is not None:
+    def better_images(self) -> int:
+        """How many images later those fit better; 0 if the given ones are best."""
+        best, best_score = 0, max(float(self.given.mean()), _SHARP * float(self.chance.mean()))
+        for off in _IMAGES_OFF:
+            others, inside = [], []
+            for k, view in enumerate(self.views):
+                if 0 <= view.image + off < len(self.stream.images):
+                    strength = edge_strength(self.stream, view.image + off)
+                    others.append(replace(view, image=view.image + off, strength=strength))
+                    inside.append(k)
+            if len(others) < _FEWEST_PAIRS:
+                continue
+            scores = scores_of(others, self.stream, np.eye(4))
+            if scores.mean() > best_score and _is_better(scores, self.given[inside], _GAIN):
+                best, best_score = off, float(scores.mean())
+        return best
+
+    def no_fit(self) -> bool:
+        """Whether the given calibration is no better than any other."""
+        if not self.chance.all():  # nothing of a sweep falls into the image, which is told
             return False
-        times = self.stream.times[[one.image for one in self.sweeps]]
-        apart = np.abs(recording.times[:, None] - times).min(axis=0)
-        return float(np.median(apart)) > _AT_ONCE
+        share = self.given / self.chance
+        error = share.std(ddof=1) / np.sqrt(len(share))
+        return bool(share.mean() < _CHANCE and share.mean() - 1 < _CHANCE_ERRORS * error)
+
+    def _after(self, change: Change) -> Scores:
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = rotation_exp(np.radians(change[:3])), change[3:]
+        return scores_of(self.views, self.stream, T)
 
 
-def _far_changes() -> list[Floats]:
-    angles = np.radians(np.arange(-_FARTHEST_DEG, _FARTHEST_DEG + 0.1, _APART_DEG))
-    turns = [np.array([tilt, pan, 0, 0, 0, 0]) for tilt in angles for pan in angles]
-    rolls = [np.radians(roll) * np.eye(6)[2] for roll in _ROLLS_DEG]
-    shifts = [metres * axis for axis in np.eye(6)[3:] for metres in _SHIFTS]
-    return [*turns, *rolls, *shifts]
+def _turns(step: float, farthest: float) -> list[Change]:
+    angles = np.arange(-farthest, farthest + step / 2, step).tolist()
+    return [(tilt, pan, 0, 0, 0, 0) for tilt in angles for pan in angles]
 
 
-def _transform(change: Floats) -> Floats:
-    """A turn and a shift as a matrix (4, 4)."""
-    return poses_from([rotation_exp(change[:3])], [change[3:]])[0]
+def _shifts() -> list[Change]:
+    along = [(s, 0.0, 0.0) for s in _SHIFTS]
+    every = [*along, *((0.0, s, 0.0) for s in _SHIFTS), *((0.0, 0.0, s) for s in _SHIFTS)]
+    return [(0, 0, 0, *shift) for shift in every]
+
+
+def _is_better(scores: Scores, given: Scores, least_gain: float) -> bool:
+    """Whether scores of the pairs, one by one, lie above the given ones beyond chance."""
+    gain = scores - given
+    error = gain.std(ddof=1) / np.sqrt(len(gain)) + 1e-9
+    return bool(
+        gain.mean() > _SIGNIFICANT * error
+        and (gain > 0).sum() >= len(gain) - 1
+        and scores.mean() > least_gain * given.mean()
+    )
+
+
+def in_words(change: Change) -> str:
+    """A change of points as one of the camera, the other way: what the camera does."""
+    tilt, pan, roll, x, y, z = change
+    turn = [
+        f"{abs(angle):g} degrees {one if angle > 0 else other}"
+        for angle, one, other in (
+            (pan, "to the left", "to the right"),
+            (tilt, "down", "up"),
+            (roll, "counterclockwise", "clockwise"),
+        )
+        if angle
+    ]
+    shift = [
+        f"{abs(metres):g} m {one if metres > 0 else other}"
+        for metres, one, other in (
+            (x, "to the left", "to the right"),
+            (y, "up", "down"),
+            (z, "back", "forward"),
+        )
+        if metres
+    ]
+    parts = [f"turns {' and '.join(turn)}"] if turn else []
+    parts += [f"moves {' and '.join(shift)}"] if shift else []
+    times = ", or they are of other times" if z else ""
+    return f"the camera {' and '.join(parts)}{times}"

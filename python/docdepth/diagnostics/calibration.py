@@ -12,8 +12,16 @@ from numpy.typing import NDArray
 
 from docdepth.concurrency import Progress
 from docdepth.datasets import CameraStream
-from docdepth.diagnostics.depth_edges import Edges, edges_of_map, pixels_of_tracks
-from docdepth.diagnostics.edge_fit import EdgeFit, displaced, fit_edges, slopes_of
+from docdepth.diagnostics.alignment import Change, in_words
+from docdepth.diagnostics.edge_fit import (
+    EdgeFit,
+    Edges,
+    displaced,
+    edges_of_map,
+    fit_edges,
+    pixels_of_tracks,
+    profiles,
+)
 from docdepth.diagnostics.sweeps import spread
 from docdepth.errors import CalibrationError, Finding
 from docdepth.geometry.se3 import inverse
@@ -33,8 +41,8 @@ OFF = np.array([*np.radians([0.1] * 3), *[0.02] * 3])
 """Turn [rad] and shift [m] above which a calibration is wrong, which checkerboards reach."""
 
 _DEVIATIONS = 2.0  # by which it must lie above
-FEWEST_IMAGES = 5
-FEWEST_EDGES = 1000  # in all images
+_FEWEST_IMAGES = 5
+_FEWEST_EDGES = 1000  # in all images
 _LEAST_SCORE = 1.2  # right ones reach 1.4 to 2.2, another drive's images 1.0 to 1.1
 _GIVEN_COLOR, _FITTED_COLOR = (60, 60, 255), (90, 255, 90)  # BGR: red, green
 
@@ -75,8 +83,7 @@ class CalibrationCheck:
                 "the calibration agrees with the images: it is off by less than "
                 f"{np.degrees(most[:3].max()):.2f} degrees and {100 * most[3:].max():.0f} cm"
             )
-        clear = np.abs(self.fit.change) > _DEVIATIONS * self.fit.deviations
-        change = in_words(np.where(clear, self.fit.change, 0.0), 2)
+        change = in_words(_clear(self.fit))
         return f"the calibration is off: depth edges fit the images when {change}"
 
     @property
@@ -127,13 +134,16 @@ def compare(found: RunEdges) -> CalibrationCheck:
     if not found.enough:
         raise CalibrationError(
             f"{found.path} has {len(found.edges)} images from places {APART} m apart, with "
-            f"{found.count} depth edges of standing things; {FEWEST_IMAGES} such images with "
-            f"{FEWEST_EDGES} edges are needed to judge a calibration",
+            f"{found.count} depth edges of standing things; {_FEWEST_IMAGES} such images with "
+            f"{_FEWEST_EDGES} edges are needed to judge a calibration",
             "take a drive that moves",
             code="few-edges",
         )
-    slopes = [slopes_of(image, stream.camera) for image in found.images]
-    fit = fit_edges(found.edges, slopes, stream.camera)
+    samples = [
+        profiles(edges, image, stream.camera)
+        for edges, image in zip(found.edges, found.images, strict=True)
+    ]
+    fit = fit_edges(found.edges, samples, stream.camera)
     if fit.score < _LEAST_SCORE:
         raise CalibrationError(
             f"depth edges of {found.path} fit the images of {stream.name} by chance only: the "
@@ -188,7 +198,7 @@ class RunEdges:
     @property
     def enough(self) -> bool:
         """Whether they can tell of a calibration."""
-        return len(self.edges) >= FEWEST_IMAGES and self.count >= FEWEST_EDGES
+        return len(self.edges) >= _FEWEST_IMAGES and self.count >= _FEWEST_EDGES
 
 
 def edges_of_images(
@@ -240,33 +250,12 @@ def _with_errors(values: Floats, errors: Floats, digits: int) -> str:
     return ", ".join(f"{value:.{digits}f} +- {error:.{digits}f}" for value, error in pairs)
 
 
-def in_words(change: Floats, digits: int) -> str:
-    """A change of points as one of the camera, the other way: what the camera does.
-
-    Parameters
-    ----------
-    change : ndarray of float64, shape (6,)
-        As that of an :class:`EdgeFit`; parts that round to 0 are not named.
-    digits : int
-        Of degrees and metres.
-    """
-    values = np.round([*np.degrees(change[:3]), *change[3:]], digits).tolist()
-    directions = (
-        ("degrees", "down", "up"),
-        ("degrees", "to the left", "to the right"),
-        ("degrees", "counterclockwise", "clockwise"),
-        ("m", "to the left", "to the right"),
-        ("m", "up", "down"),
-        ("m", "back", "forward"),
-    )
-    parts = [
-        f"{abs(value):g} {unit} {one if value > 0 else other}" if value else ""
-        for value, (unit, one, other) in zip(values, directions, strict=True)
-    ]
-    pan_first = [parts[1], parts[0], parts[2]]
-    turn, shift = (" and ".join(filter(None, some)) for some in (pan_first, parts[3:]))
-    does = " and ".join(f"{verb} {how}" for verb, how in (("turns", turn), ("moves", shift)) if how)
-    return f"the camera {does}{', or they are of other times' if values[5] else ''}"
+def _clear(fit: EdgeFit) -> Change:
+    """The parts of a change that stand out of their errors, in degrees and metres, rounded."""
+    clear = np.abs(fit.change) > _DEVIATIONS * fit.deviations
+    change = np.where(clear, [*fit.turn_deg, *fit.shift_m], 0.0)
+    tilt, pan, roll, x, y, z = (round(float(part), 2) for part in change)
+    return tilt, pan, roll, x, y, z
 
 
 def _picture(

@@ -14,8 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.diagnostics.depth_edges import Edges
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.track import Tracks
+from docdepth.io.tracks import box_in_image
 
 Floats = NDArray[np.float64]
 
@@ -32,6 +33,39 @@ _STEPS = 25
 _MOVED = 0.01  # samples; smaller steps end the fit
 _CELLS = (8, 3)  # parts of the image, columns and rows, whose edges err together
 
+# Where depth maps jump from one surface to another farther away.
+_JUMP = (0.5, 0.15)  # metres, and share of the depth, that the farther surface lies behind
+_DEPTHS = (3.0, 50.0)  # metres; nearer is the vehicle, farther returns are too sparse
+_SMOOTH = 2.0  # pixels over which the direction of an edge is found
+_STEEP = 0.7  # part of the direction along rows or columns of the pair of pixels
+_BESIDE = 5  # pixels around a moving object
+_MOST_EDGES = 2000  # of an image that are used
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Depth edges in an image.
+
+    Attributes
+    ----------
+    pixels : ndarray of float64, shape (n, 2)
+        u and v; integers are pixel centres.
+    across : ndarray of float64, shape (n, 2)
+        Unit vector in the image from the near side to the far one.
+    depth : ndarray of float64, shape (n,)
+        Of the near side, metres along the optical axis.
+    """
+
+    pixels: Floats
+    across: Floats
+    depth: Floats
+
+    def __len__(self) -> int:
+        return len(self.depth)
+
+    def rows(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Edges:
+        return Edges(self.pixels[chosen], self.across[chosen], self.depth[chosen])
+
 
 @dataclass(frozen=True)
 class EdgeFit:
@@ -46,8 +80,6 @@ class EdgeFit:
         of a vehicle that stands, repeat the same error.
     score : float
         Change of brightness below depth edges over that beside them; 1 is chance.
-    given : float
-        Score without the change, over that of all turns of less than two degrees; 1 is chance.
     gains : ndarray of float64, shape (images,)
         By how much the score of each image grows.
     pixels : ndarray of float64, shape (2,)
@@ -57,7 +89,6 @@ class EdgeFit:
     change: Floats
     covariance: Floats
     score: float
-    given: float
     gains: Floats
     pixels: Floats
 
@@ -75,26 +106,63 @@ class EdgeFit:
         return np.sqrt(np.diag(self.covariance))
 
 
-def slopes_of(image: NDArray[np.uint8], camera: Camera) -> list[NDArray[np.float32]]:
-    """Change of brightness from pixel to pixel along rows and along columns, (h, w) each.
+def edges_of_map(depth: NDArray[np.float32], moving: NDArray[np.bool_] | None = None) -> Edges:
+    """Depth edges between neighbouring pixels, at most 2000 evenly chosen.
 
-    ``image`` is BGR, rectified, uint8 of shape (h, w, 3).
+    Parameters
+    ----------
+    depth : ndarray of float32, shape (h, w)
+        Metres; NaN = none. The edge of what has depth is no depth edge.
+    moving : ndarray of bool, shape (h, w), optional
+        Pixels that do not count.
     """
-    bright = np.sqrt(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32))
-    bright = cv2.GaussianBlur(bright, (0, 0), _step(camera))
-    return [np.float32(0.125) * cv2.Sobel(bright, cv2.CV_32F, 1 - k, k) for k in (0, 1)]
+    known = np.isfinite(depth)
+    share = cv2.GaussianBlur(known.astype(np.float32), (0, 0), _SMOOTH)
+    logarithm = np.where(known, np.log(np.where(known, depth, 1.0)), 0.0).astype(np.float32)
+    smooth = cv2.GaussianBlur(logarithm, (0, 0), _SMOOTH) / np.maximum(share, 1e-3)
+    slope = np.stack([cv2.Sobel(smooth, cv2.CV_32F, 1 - k, k) for k in (0, 1)], axis=-1)
+    slope /= np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-6)
+    found = []
+    for axis in (0, 1):
+        # Pairs along rows, then along columns.
+        first = np.s_[:, :-1] if axis == 0 else np.s_[:-1, :]
+        second = np.s_[:, 1:] if axis == 0 else np.s_[1:, :]
+        one, other, across = depth[first], depth[second], slope[first]
+        near, far = np.fmin(one, other), np.fmax(one, other)
+        jump = np.isfinite(one + other) & (near > _DEPTHS[0]) & (near < _DEPTHS[1])
+        jump &= far - near > np.maximum(_JUMP[0], _JUMP[1] * near)
+        if moving is not None:
+            jump &= ~moving[first]
+        jump &= across[..., axis] * np.where(other > one, 1, -1) > _STEEP
+        v, u = np.nonzero(jump)
+        place = np.stack([u, v], axis=1) + 0.5 * np.eye(2)[axis]
+        found.append((place, across[v, u].astype(np.float64), near[v, u].astype(np.float64)))
+    pixels, across, near = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    every = np.unique(np.linspace(0, len(near) - 1, min(len(near), _MOST_EDGES)).astype(np.int64))
+    return Edges(pixels, across, near).rows(every)
 
 
-def profiles(
-    edges: Edges, slopes: Sequence[NDArray[np.float32]], camera: Camera
-) -> NDArray[np.float32]:
+def pixels_of_tracks(
+    tracks: Tracks, time: int, T_camera_world: NDArray[np.float64], camera: Camera
+) -> NDArray[np.bool_]:
+    """Pixels in or beside the boxes of moving objects, (h, w)."""
+    mask = np.zeros((camera.height, camera.width), np.bool_)
+    for track in tracks.between(time, time):
+        box = box_in_image(track.size, T_camera_world @ track.pose_at(time), camera)
+        if box is not None:
+            (left, top), (right, bottom) = np.floor(box).astype(int) + [[-_BESIDE], [1 + _BESIDE]]
+            mask[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = True
+    return mask
+
+
+def profiles(edges: Edges, image: NDArray[np.uint8], camera: Camera) -> NDArray[np.float32]:
     """Change of brightness along lines across depth edges, over that of the whole line.
 
     Parameters
     ----------
     edges : Edges
-    slopes : sequence of ndarray
-        Of the image, from :func:`slopes_of`.
+    image : ndarray of uint8, shape (h, w, 3)
+        BGR, rectified.
     camera : Camera
 
     Returns
@@ -104,11 +172,15 @@ def profiles(
     """
     if not len(edges):  # OpenCV takes no empty map
         return np.zeros((0, 2 * _REACH + 1), np.float32)
-    along = np.arange(-_REACH, _REACH + 1) * _step(camera)
+    step = _step(camera)
+    bright = np.sqrt(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32))
+    bright = cv2.GaussianBlur(bright, (0, 0), step)
+    along = np.arange(-_REACH, _REACH + 1) * step
     lines = edges.pixels[:, None] + edges.across[:, None] * along[:, None]
     u, v = np.moveaxis(lines.astype(np.float32), -1, 0)
     changes = np.zeros(u.shape, np.float32)
-    for axis, slope in enumerate(slopes):
+    for axis in (0, 1):
+        slope = cv2.Sobel(bright, cv2.CV_32F, 1 - axis, axis) / 8
         found = cv2.remap(slope, u, v, cv2.INTER_LINEAR, borderValue=0)
         changes += found * edges.across[:, axis, None].astype(np.float32)
     changes = np.abs(changes)
@@ -117,7 +189,7 @@ def profiles(
 
 
 def fit_edges(
-    edges: Sequence[Edges], slopes: Sequence[Sequence[NDArray[np.float32]]], camera: Camera
+    edges: Sequence[Edges], samples: Sequence[NDArray[np.float32]], camera: Camera
 ) -> EdgeFit:
     """Fit a turn and a shift of the camera.
 
@@ -125,13 +197,16 @@ def fit_edges(
     ----------
     edges : sequence of Edges
         Of each image; one of them has some.
-    slopes : sequence
-        Of each image, from :func:`slopes_of`.
+    samples : sequence of ndarray
+        Of each image, from :func:`profiles`.
     camera : Camera
     """
-    problem = _Problem(edges, slopes, camera)
+    rows = [_jacobian(one, camera) for one in edges]
+    across = np.concatenate(
+        [np.einsum("ni,nij->nj", o.across, J) for o, J in zip(edges, rows, strict=True)]
+    )
+    problem = _Problem(across / _step(camera), np.concatenate(samples))
     change = problem.solve()
-    _, scores = problem.turns()
     image = np.repeat(np.arange(len(edges)), [len(one) for one in edges])
     pixels = np.concatenate([one.pixels for one in edges])
     size = np.array([camera.width, camera.height])
@@ -144,19 +219,9 @@ def fit_edges(
         change,
         covariance,
         float(problem.value(change).mean()),
-        float(scores[len(scores) // 2] / scores.mean()),
         np.bincount(image, gain, len(edges)) / count,
-        np.median(problem.moves @ change, axis=0),
+        np.median(np.concatenate(rows) @ change, axis=0),
     )
-
-
-def likely_turn(
-    edges: Sequence[Edges], slopes: Sequence[Sequence[NDArray[np.float32]]], camera: Camera
-) -> tuple[float, Floats]:
-    """Score and change of the turn of less than two degrees under which most edges fit."""
-    turns, scores = _Problem(edges, slopes, camera).turns()
-    best = int(scores.argmax())
-    return float(scores[best]), np.array([*turns[best], 0, 0, 0, 0])
 
 
 def displaced(edges: Edges, change: Floats, camera: Camera) -> Floats:
@@ -184,26 +249,15 @@ def _jacobian(edges: Edges, camera: Camera) -> Floats:
 class _Problem:
     """The mean change of brightness at a place in each profile that depends on the change.
 
-    Attributes
+    Parameters
     ----------
-    moves : ndarray of float64, shape (n, 2, 6)
-        Pixels by which a change moves each edge.
+    J : ndarray of float64, shape (n, 6)
+        Samples by which a change moves each edge across itself.
+    samples : ndarray of float32, shape (n, m)
     """
 
-    def __init__(
-        self,
-        edges: Sequence[Edges],
-        slopes: Sequence[Sequence[NDArray[np.float32]]],
-        camera: Camera,
-    ) -> None:
-        self.moves = np.concatenate([_jacobian(one, camera) for one in edges])
-        across = np.concatenate([one.across for one in edges])
-        # Samples by which a change moves each edge across itself, (n, 6).
-        self._J = np.einsum("ni,nij->nj", across, self.moves) / _step(camera)
-        self._prior = np.diag(_WEIGHT_OF_USUAL / _USUAL**2)
-        samples = np.concatenate(
-            [profiles(one, own, camera) for one, own in zip(edges, slopes, strict=True)]
-        )
+    def __init__(self, J: Floats, samples: NDArray[np.float32]) -> None:
+        self._J, self._prior = J, np.diag(_WEIGHT_OF_USUAL / _USUAL**2)
         self._smeared = {
             width: cv2.GaussianBlur(samples, (0, 0), width, sigmaY=1e-3) for width in _WIDTHS
         }
@@ -244,19 +298,15 @@ class _Problem:
 
     def _starts(self) -> list[Floats]:
         """No change, and the turns about x and y under which most edges fit."""
-        turns, scores = self.turns()
-        side = len(_START_DEG)
-        peaks = cv2.dilate(scores.reshape(side, side), np.ones((3, 3))).ravel() == scores
-        best = [k for k in np.argsort(-scores) if peaks[k]][:_STARTS]
-        return [np.zeros(6), *(np.array([*turns[k], 0, 0, 0, 0]) for k in best)]
-
-    def turns(self) -> tuple[Floats, Floats]:
-        """Turns about x and y, (m, 2), and the score of each."""
         every = max(1, len(self._J) // _START_EDGES)
         J, table = self._J[::every], self._smeared[_WIDTHS[0]][::every]
         turns = np.radians(np.stack(np.meshgrid(_START_DEG, _START_DEG), axis=-1)).reshape(-1, 2)
         place = np.clip(np.rint(J[:, :2] @ turns.T) + _REACH, 0, table.shape[1] - 1).astype(int)
-        return turns, np.take_along_axis(table, place, axis=1).mean(axis=0)
+        scores = np.take_along_axis(table, place, axis=1).mean(axis=0)
+        side = len(_START_DEG)
+        peaks = cv2.dilate(scores.reshape(side, side), np.ones((3, 3))).ravel() == scores
+        best = [k for k in np.argsort(-scores) if peaks[k]][:_STARTS]
+        return [np.zeros(6), *(np.array([*turns[k], 0, 0, 0, 0]) for k in best)]
 
     def _objective(self, change: Floats, width: float) -> float:
         return float(self._at(change, width)[0].mean() - change @ self._prior @ change / 2)

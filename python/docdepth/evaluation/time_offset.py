@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from docdepth.concurrency import Progress
 from docdepth.datasets import CameraStream
-from docdepth.diagnostics.depth_edges import pixels_of_tracks
+from docdepth.diagnostics.edge_fit import pixels_of_tracks
 from docdepth.diagnostics.sweeps import spread
 from docdepth.errors import CalibrationError
 from docdepth.evaluation.camera_error import images_and_maps
