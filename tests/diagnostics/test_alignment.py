@@ -44,15 +44,15 @@ def city(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 @pytest.fixture(scope="module", params=["VLP-16", "XT-32"])
-def overtaking(
-    tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest
-) -> Dataset:
+def overtaking(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Dataset:
     """Nine raw sweeps of a motorway, eight images: nearly all edges are of what drives along."""
     pytest.importorskip("embreex")
     from docdepth.synthetic import write_drive
 
     folder = tmp_path_factory.mktemp("overtaking")
-    return open_dataset(write_drive(folder, "overtaking", request.param, frames=9, seed=31, skew=True))
+    return open_dataset(
+        write_drive(folder, "overtaking", request.param, frames=9, seed=31, skew=True)
+    )
 
 
 def turned(stream: CameraStream, tilt: float = 0, pan: float = 0, roll: float = 0) -> CameraStream:

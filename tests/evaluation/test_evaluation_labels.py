@@ -63,6 +63,12 @@ def test_ranges_and_standing_points_of_a_sweep_by_hand() -> None:
     assert "temporarily static" in result.table().markdown()
 
 
+def test_lists_are_arrays() -> None:
+    evaluation = LabelEvaluation()
+    evaluation.add(np.array([251, 251], np.uint32), np.ones(2, bool), [5.0, 5.0], [9.0, 0.0])
+    assert astuple(evaluation.result().counts) == (0, 0, 1, 0)
+
+
 def test_labels_of_other_points_are_refused() -> None:
     evaluation = LabelEvaluation()
     labels = np.full(5, 9, np.uint32)

@@ -177,6 +177,7 @@ class LabelEvaluation:
                 f"{len(truth)} labels need {len(truth)} bools (True: dynamic), got "
                 f"{dynamic.dtype} {dynamic.shape}; give one per point, in input order"
             )
+        ranges, speeds = (None if v is None else np.asarray(v) for v in (ranges, speeds))
         for name, values in (("ranges", ranges), ("speeds", speeds)):
             if values is not None and values.shape != truth.shape:
                 raise InputError(f"{len(truth)} labels need as many {name}, got {values.shape}")
