@@ -1,0 +1,199 @@
+"""Whether sweeps without times of points are as measured, or motion compensated already.
+
+A few sweeps are registered both ways, with times from the rotation of the LiDAR and without. What
+is right makes the world sharper: points take fewer voxels, and lie nearer to surfaces that were
+seen before. Sweeps as measured are also tried in all directions of rotation and with all seams that
+their rows allow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.config import OdometryParameters
+from docdepth.datasets.base import Dataset, Sweep, View
+from docdepth.datasets.frame_range import FrameRange
+from docdepth.datasets.readable_frames import readable
+from docdepth.datasets.turning_lidar import TurningLidar
+from docdepth.geometry.turn import Turn, possible_turns
+from docdepth.odometry.deskewing import centred_motion
+from docdepth.odometry.first_motion import first_motion
+from docdepth.odometry.passes import register
+from docdepth.odometry.registration_log import RegistrationLog
+from docdepth.odometry.smoothing import smoothed
+from docdepth.odometry.sweeps import FINE_SAMPLING, ThinnedSweeps, deskewed_points
+
+_LENGTH = 10  # sweeps of a piece of the drive
+_FEWEST = 6  # sweeps of a drive, and of a piece
+_PLACES = (0.3, 0.7)  # of a drive, where pieces are taken
+_MOVING = 0.15  # metres a sweep; slower ones hardly skew
+_VOXEL = 0.2  # metres
+_REACH = 50.0  # metres; farther voxels hold one point each
+_APART = 4  # sweeps between those that are held against each other
+_NEAR, _MOST_OFF = 1.0, 0.5  # metres, from a point and from its surface
+_NEIGHBORS = 10  # points from which a surface is taken
+
+
+class Sharpness(NamedTuple):
+    """How sharp the world is that a few sweeps show; the less, the sharper."""
+
+    voxels: int  # of 0.2 m, that hold points
+    off: float  # mean distance of points from surfaces of an earlier sweep [m]
+
+    @property
+    def blur(self) -> float:
+        """Both in one."""
+        return self.voxels * self.off
+
+
+@dataclass(frozen=True)
+class Skew:
+    """What the sweeps of a recording are, and what tells it.
+
+    Attributes
+    ----------
+    state : {"measured", "compensated", "unknown"}
+        Unknown, where two pieces of the drive disagree.
+    turn : Turn
+        How the LiDAR turned, if the sweeps are as measured; else that which fits best.
+    measured, compensated : Sharpness
+        Of the world by sweeps deskewed with times of that turn, and by sweeps as they are.
+    """
+
+    state: Literal["measured", "compensated", "unknown"]
+    turn: Turn
+    measured: Sharpness
+    compensated: Sharpness
+
+    def figures(self) -> str:
+        """The figures in words."""
+        seen = [
+            f"{100 * one.off:.2f} cm from surfaces seen before, in {one.voxels} voxels"
+            for one in (self.measured, self.compensated)
+        ]
+        return (
+            f"with times by rotation ({self.turn}) points lie {seen[0]}, and as they are {seen[1]}"
+        )
+
+
+def find_skew(
+    recording: Dataset,
+    parameters: OdometryParameters | None = None,
+    before_stamp: float = 0.5,
+) -> Skew | None:
+    """Find whether the sweeps of a recording are as measured.
+
+    Parameters
+    ----------
+    recording : Dataset
+        Of one LiDAR. What it says of times and of motion compensation is not asked.
+    parameters : OdometryParameters, optional
+    before_stamp : float
+        Share of a sweep that is measured before its stamp.
+
+    Returns
+    -------
+    Skew or None
+        None where nothing can tell: of a LiDAR that does not spin, or hardly moves.
+    """
+    turns = [replace(turn, before_stamp=before_stamp) for turn in _turns_of(recording)]
+    if not turns or len(recording) < _FEWEST:
+        return None
+    pieces = _pieces(recording, parameters or OdometryParameters())
+    if len(pieces) < (1 if len(turns) == 1 else 2):  # the best of many needs a second proof
+        return None
+    first = {turn: pieces[0].sharpness(turn) for turn in turns}
+    turn = min(turns, key=lambda turn: first[turn].blur)
+    measured = [first[turn], *(piece.sharpness(turn) for piece in pieces[1:])]
+    compensated = [piece.sharpness(None) for piece in pieces]
+    sharper = {one.blur < other.blur for one, other in zip(measured, compensated, strict=True)}
+    state: Literal["measured", "compensated", "unknown"] = "unknown"
+    if len(sharper) == 1:
+        state = "measured" if sharper.pop() else "compensated"
+    return Skew(state, turn, _mean(measured), _mean(compensated))
+
+
+def _mean(pieces: Sequence[Sharpness]) -> Sharpness:
+    voxels, off = np.mean(pieces, axis=0).tolist()
+    return Sharpness(round(voxels), off)
+
+
+def _turns_of(recording: Dataset) -> list[Turn]:
+    """In which ways the LiDAR may turn, where sweeps from all over the drive agree."""
+    places = sorted({int(share * (len(recording) - 1)) for share in (0.0, *_PLACES)})
+    sweeps = readable(recording.sweep, places, len(recording)).values()
+    found = [possible_turns(sweep.points, sweep.ring) for sweep in sweeps]
+    return found[0] if found and all(turns == found[0] for turns in found) else []
+
+
+def _pieces(recording: Dataset, parameters: OdometryParameters) -> list[_Piece]:
+    """The fastest pieces of the drive, in which the LiDAR moves."""
+    last = max(0, len(recording) - _LENGTH)
+    starts = list(dict.fromkeys(int(share * last) for share in _PLACES))
+    if last < _LENGTH:  # two pieces would share sweeps
+        starts = starts[:1]
+    pieces = [_Piece(recording, start, parameters) for start in starts]
+    moving = [piece for piece in pieces if piece.speed > _MOVING]
+    return sorted(moving, key=lambda piece: -piece.speed)
+
+
+class _Piece(View):
+    """A few sweeps of a drive in a row, each read once."""
+
+    def __init__(self, recording: Dataset, start: int, parameters: OdometryParameters) -> None:
+        end = min(start + _LENGTH, len(recording))
+        super().__init__(FrameRange(recording, f"{start}:{end}"))
+        self._parameters, self._read = parameters, dict[int, Sweep]()
+        found = first_motion(self._thinned(TurningLidar(self, None)), range(len(self)))
+        self._motion = np.eye(4) if found is None else found
+        self.speed = float(np.linalg.norm(self._motion[:3, 3]))
+        """Metres a sweep at the start."""
+
+    def sweep(self, index: int) -> Sweep:
+        """Sweep ``index`` of the piece."""
+        if index not in self._read:
+            self._read[index] = super().sweep(index)
+        return self._read[index]
+
+    def sharpness(self, turn: Turn | None) -> Sharpness:
+        """Of the world that the sweeps show, with times of a turn, or of one instant each."""
+        sweeps, log = self._thinned(TurningLidar(self, turn)), RegistrationLog()
+        states = register(sweeps, self._parameters, self._motion, None, 1, log, [])
+        poses = np.stack(list(smoothed(states)))
+        motions, worlds = centred_motion(poses, self.times), []
+        for k, (pose, motion) in enumerate(zip(poses, motions, strict=True)):
+            points = deskewed_points(sweeps[k], k, motion).astype(np.float64)
+            points = points[np.linalg.norm(points, axis=1) < _REACH]
+            worlds.append(points @ pose[:3, :3].T + pose[:3, 3])
+        return Sharpness(_voxels(worlds), _distance_off(worlds))
+
+    def _thinned(self, recording: Dataset) -> ThinnedSweeps:
+        return ThinnedSweeps(recording, self._parameters, FINE_SAMPLING, _LENGTH)
+
+
+def _voxels(clouds: Sequence[NDArray[np.float64]]) -> int:
+    """How many voxels hold points (N, 3)."""
+    edge = np.array([1, 1 << 20, 1 << 40])
+    keys = [np.unique(np.floor(cloud / _VOXEL).astype(np.int64) @ edge) for cloud in clouds]
+    return len(np.unique(np.concatenate(keys)))
+
+
+def _distance_off(clouds: Sequence[NDArray[np.float64]]) -> float:
+    """Mean distance of points from the surfaces of an earlier cloud [m]."""
+    import small_gicp
+
+    thin = [small_gicp.PointCloud(cloud) for cloud in clouds]
+    apart, means = min(_APART, len(clouds) - 1), []
+    for before, after in zip(thin, thin[apart:], strict=False):
+        tree, points = small_gicp.KdTree(before, 1), after.points()[:, :3]
+        small_gicp.estimate_normals(before, tree, _NEIGHBORS, 1)
+        rows, squared = map(np.asarray, tree.batch_nearest_neighbor_search(points, 1))
+        away = points - before.points()[rows, :3]
+        off = np.abs(np.einsum("ij,ij->i", before.normals()[rows, :3], away))
+        means.append(np.minimum(off, _MOST_OFF)[squared < _NEAR**2].mean())
+    return float(np.mean(means))
