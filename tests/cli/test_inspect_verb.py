@@ -64,7 +64,7 @@ def test_figures_that_are_not_known_are_said_so(tmp_path: Path) -> None:
     assert [line.strip() for line in lines] == [
         "a, read as folder",
         "sweeps    1, at 12.500 s",
-        "points have no times: sweeps stay as they were measured",
+        "points have no times",
         "LiDAR     top: 9 points from 1.0 to 4 m, half of them within 2.0 m, 99 % within 3 m",
         "no beams that can be told apart; sees 70 degrees around, from -5 to 5 degrees of "
         "elevation",

@@ -41,7 +41,8 @@ USUAL_PERIOD = 125_000_000
 # Of the time between stamps that the points of a sweep may span: of a LiDAR that looks ahead, or a
 # little more than a revolution. Units are a thousand apart, so at most one fits.
 _SHORTEST, LONGEST = 0.1, 1.6
-_SHARE = {"start": 0.0, "middle": 0.5, "end": 1.0}
+SHARE_BEFORE: dict[Instant, float] = {"start": 0.0, "middle": 0.5, "end": 1.0}
+"""Of a sweep that is measured before its stamp."""
 
 
 class TimeSample(NamedTuple):
@@ -134,7 +135,7 @@ def find_point_times(
     count = _NANOSECONDS[fitting[0]]
     first = [_exact(v.min()) * count for v in kept]
     limit = LONGEST * duration
-    shift = -round(_SHARE[instant or "start"] * span * count)
+    shift = -round(SHARE_BEFORE[instant or "start"] * span * count)
     if all(abs(start) < limit for start in first):
         # Declared: the values count from the first point, wherever the driver puts its stamp.
         shift = shift - round(float(np.median(first))) if instant else 0

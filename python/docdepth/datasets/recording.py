@@ -84,6 +84,8 @@ class Recording(DatasetRepr):
     ----------
     up : tuple of float, optional
         Direction that points up, LiDAR frame.
+    stamp : {"start", "middle", "end"}, optional
+        Which instant of a sweep its time is, as the user says.
     masks : dict
         Of cameras, see :func:`~.settings.camera_mask`.
     broken : list of DocDepthError
@@ -117,6 +119,7 @@ class Recording(DatasetRepr):
                 "are known; leave it out of docdepth.yaml"
             )
         self.up, self.masks = self._settings.up, self._settings.camera_masks()
+        self.stamp = self._settings.stamp
         self.broken: list[DocDepthError] = []
         self._poses = poses
         self._take(lidars)
@@ -263,8 +266,8 @@ class Recording(DatasetRepr):
             self.point_times.append(found)
             if not samples and said.motion_compensated is None:
                 log.warning(
-                    "%s: points have no times, so sweeps are not deskewed; say in docdepth.yaml "
-                    "motion_compensated: true if they are already, else false",
+                    "%s: points have no times; say in docdepth.yaml motion_compensated: true if "
+                    "sweeps are deskewed already, else false",
                     where,
                 )
 

@@ -170,7 +170,8 @@ def _check_lidars(where: str, lidars: list[dict[str, Any]], result: Inspection) 
 def _check_times(where: str, result: Inspection) -> None:
     times, lidars = result.figures["point_times"], result.figures["lidars"]
     if times is None:
-        if not result.figures["sweeps"]["motion_compensated"]:
+        by_rotation = any(found.code == "times-by-rotation" for found in result.findings)
+        if not result.figures["sweeps"]["motion_compensated"] and not by_rotation:
             result.note("no-times", "points have no times: sweeps are used as they were measured")
         return
     first, last = times["span"]

@@ -19,6 +19,7 @@ from docdepth.diagnostics.cameras import check_camera
 from docdepth.diagnostics.inspection import Inspection
 from docdepth.diagnostics.lidar_figures import lidar_figures
 from docdepth.diagnostics.poses import Window, pose_figures, share_on, windows_of
+from docdepth.diagnostics.rotation import find_rotation, is_lone_lidar, lacks_times
 from docdepth.diagnostics.sweep_figures import ego_body, row_shares, time_figures
 from docdepth.diagnostics.sweeps import check_sweeps, find_lonely_returns, find_sensor_origin
 from docdepth.errors import DocDepthError, Finding, collected, in_order
@@ -65,6 +66,7 @@ def inspect_recording(
     result.sweeps, found = check_sweeps(recording, files, _PARAMETERS, given is not None)
     result.findings += found
     _look_at_sweeps(recording, result)
+    _look_at_rotation(recording, result)
     if given is not None:
         with collected(result.findings):
             checked = check_given_poses(recording, given)
@@ -117,6 +119,15 @@ def _look_at_sweeps(recording: Dataset, result: Inspection) -> None:
             "height_m": round(ground.height, 2),
             "share": round(ground.share, 3),
         }
+
+
+def _look_at_rotation(recording: Dataset, result: Inspection) -> None:
+    """Whether sweeps are as measured, where no times tell it and where they are said not to be."""
+    if not result.sweeps or not is_lone_lidar(recording):
+        return
+    if lacks_times(recording) or recording.sweep(0).motion_compensated:
+        stamp = getattr(full_recording(recording), "stamp", None)
+        result.findings += find_rotation(recording, stamp)[1]
 
 
 def _register(recording: Dataset, result: Inspection) -> list[Window]:

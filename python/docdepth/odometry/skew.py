@@ -9,7 +9,7 @@ their rows allow.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -60,7 +60,8 @@ class Skew:
     state : {"measured", "compensated", "unknown"}
         Unknown, where two pieces of the drive disagree.
     turn : Turn
-        How the LiDAR turned, if the sweeps are as measured; else that which fits best.
+        How the LiDAR turned, if the sweeps are as measured; else that which fits best. Its stamp is
+        taken for the middle of the sweep: elsewhere, the motion is not that of the whole sweep.
     measured, compensated : Sharpness
         Of the world by sweeps deskewed with times of that turn, and by sweeps as they are.
     """
@@ -81,11 +82,7 @@ class Skew:
         )
 
 
-def find_skew(
-    recording: Dataset,
-    parameters: OdometryParameters | None = None,
-    before_stamp: float = 0.5,
-) -> Skew | None:
+def find_skew(recording: Dataset, parameters: OdometryParameters | None = None) -> Skew | None:
     """Find whether the sweeps of a recording are as measured.
 
     Parameters
@@ -93,15 +90,13 @@ def find_skew(
     recording : Dataset
         Of one LiDAR. What it says of times and of motion compensation is not asked.
     parameters : OdometryParameters, optional
-    before_stamp : float
-        Share of a sweep that is measured before its stamp.
 
     Returns
     -------
     Skew or None
         None where nothing can tell: of a LiDAR that does not spin, or hardly moves.
     """
-    turns = [replace(turn, before_stamp=before_stamp) for turn in _turns_of(recording)]
+    turns = _turns_of(recording)
     if not turns or len(recording) < _FEWEST:
         return None
     pieces = _pieces(recording, parameters or OdometryParameters())

@@ -152,7 +152,7 @@ def _sweeps(sweeps: Figures, times: Figures | None) -> Iterator[str]:
     if sweeps["motion_compensated"]:
         yield "motion compensated already"
     elif times is None:
-        yield "points have no times: sweeps stay as they were measured"
+        yield "points have no times"
     else:
         yield "not motion compensated yet: a run does it"
 
