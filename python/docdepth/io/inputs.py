@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
 
 from docdepth.errors import ConfigError
+from docdepth.geometry.turn import Turn
 
 OWN_POSES = "dataset"
 """``poses`` that means those of the recording."""
@@ -214,10 +215,13 @@ class DerivedInputs(Checked):
         Unit vector in the LiDAR frame of the recording; None if its z is up.
     sensor_origin : (float, float, float), or one for each LiDAR, optional
         Where the rays begin, metres in the LiDAR frame; None if at the origin.
+    turn : Turn, optional
+        How the LiDAR turns, which gives times to points that have none.
     skipped : SkippedFrames, optional
         None if broken frames stop the run.
     """
 
     up: Point | None = None
     sensor_origin: Point | tuple[Point, ...] | None = None
+    turn: Turn | None = None
     skipped: SkippedFrames | None = None

@@ -21,13 +21,17 @@ from docdepth.datasets import (
 )
 from docdepth.datasets.formats.docdepth_run import RunDataset
 from docdepth.datasets.images import read_image_of
+from docdepth.datasets.point_times import Instant
 from docdepth.datasets.readable_frames import first_readable
 from docdepth.datasets.settings import camera_mask
 from docdepth.datasets.times import read_times
+from docdepth.datasets.turning_lidar import TurningLidar
 from docdepth.datasets.up_axis import LEVEL_DEG, LevelledRecording, ground_of
+from docdepth.diagnostics.rotation import find_rotation, lacks_times
 from docdepth.diagnostics.sweeps import find_sensor_origin
 from docdepth.errors import CalibrationError, DatasetError, log_findings
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.turn import Turn
 from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.inputs import DerivedInputs, Point, RunInputs, SkippedFrames
 from docdepth.io.run_folder import RunFolder
@@ -80,7 +84,9 @@ def open_inputs(inputs: RunInputs, begun: DerivedInputs | None = None) -> Opened
     origin = find_ray_origin(_part(whole, inputs, derived), begun)
     derived = derived.model_copy(update={"sensor_origin": origin})
     up = find_up(_part(whole, inputs, derived), begun)
-    return _opened(whole, inputs, derived.model_copy(update={"up": up}))
+    derived = derived.model_copy(update={"up": up})
+    turn = find_turn(_part(whole, inputs, derived), getattr(whole, "stamp", None), begun)
+    return _opened(whole, inputs, derived.model_copy(update={"turn": turn}))
 
 
 def open_as_begun(inputs: RunInputs, begun: DerivedInputs) -> OpenedInputs:
@@ -133,6 +139,8 @@ def _part(recording: Dataset, inputs: RunInputs, derived: DerivedInputs) -> Data
     """The sweeps of a recording that the run is of, in a frame whose z is up."""
     if derived.up or derived.sensor_origin:
         recording = LevelledRecording(recording, derived.up, derived.sensor_origin)
+    if derived.turn:
+        recording = TurningLidar(recording, derived.turn)
     return kept_part(recording, inputs.frames, derived.skipped)
 
 
@@ -194,6 +202,29 @@ def find_up(recording: Dataset, begun: DerivedInputs | None = None) -> Point | N
         recording.path, ground.tilt_deg, *up,
     )  # fmt: skip
     return _point(up / np.linalg.norm(up))
+
+
+def find_turn(
+    recording: Dataset, stamp: Instant | None = None, begun: DerivedInputs | None = None
+) -> Turn | None:
+    """How the LiDAR turns, where that gives times to points that have none.
+
+    Parameters
+    ----------
+    recording : Dataset
+        Its z is up.
+    stamp : {"start", "middle", "end"}, optional
+        Which instant of a sweep its time is, if it is known.
+    begun : DerivedInputs, optional
+        As for :func:`find_up`.
+    """
+    if not lacks_times(recording):
+        return None
+    if begun:
+        return begun.turn
+    turn, found = find_rotation(recording, stamp)
+    log_findings(log, found)
+    return turn
 
 
 def _point(values: NDArray[np.float64]) -> Point:
