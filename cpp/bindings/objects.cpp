@@ -316,9 +316,10 @@ py::tuple object_of(const TrackedObject& object) {
 /// boxes, dynamic voxels. Returns a tuple a track: sweeps, points, poses,
 /// velocities, two deviations, size, whether it is rigid. `read` gives the
 /// detections of a sweep, and is cached for each several times; `buffer_size`
-/// sweeps are in memory at once.
+/// sweeps are in memory at once. `progress` is called with the share that is
+/// done.
 py::list track(const py::function& read, const Array<double>& times, int threads,
-               const py::function& take, py::ssize_t buffer_size) {
+               const py::function& take, py::ssize_t buffer_size, const py::function& progress) {
   const auto count = times.size();
   const double* t = as_column(times, count, "times");
   for (py::ssize_t i = 0; i < count; ++i) {
@@ -336,8 +337,13 @@ py::list track(const py::function& read, const Array<double>& times, int threads
     const py::gil_scoped_acquire acquire;
     take(sweep_of(sweep));
   };
+  const auto tell = [&](double share) {
+    const py::gil_scoped_acquire acquire;
+    progress(share);
+  };
   std::vector<TrackedObject> tracked = without_gil([&] {
-    return track_objects(detections, {t, t + count}, threads, give, std::size_t(buffer_size));
+    return track_objects(detections, {t, t + count}, threads, give, std::size_t(buffer_size), {},
+                         tell);
   });
   py::list objects;
   for (TrackedObject& object : tracked) {
@@ -396,7 +402,8 @@ void bind_objects(py::module_& m) {
            "time_offset"_a = py::none())
       .def_static("of", &detections_of, "rows"_a, "samples"_a, "borders"_a)
       .def_property_readonly("arrays", &arrays_of);
-  m.def("track_objects", &track, "read"_a, "times"_a, "threads"_a, "take"_a, "buffer_size"_a);
+  m.def("track_objects", &track, "read"_a, "times"_a, "threads"_a, "take"_a, "buffer_size"_a,
+        "progress"_a);
 }
 
 }  // namespace docdepth::bindings

@@ -263,6 +263,16 @@ def test_two_dynamic_sweeps_are_no_track():
     assert tracked([Thing(CAR, passes(4), range(10, 12), remembered=False)], 20) == [[]]
 
 
+def test_tracking_tells_how_much_is_done():
+    things = random_things(np.random.default_rng(0), 20)[:4]
+    detections, _ = detections_of(things, 20)
+    told = []
+    track_objects(detections.__getitem__, straight(20), lambda sweep: None, 1, told.append)
+    assert told == sorted(told)
+    assert told[-1] == 1
+    assert max(np.diff([0, *told])) < 0.2
+
+
 def test_points_in_a_predicted_box_are_dynamic_unless_votes_or_ground_say_otherwise():
     T = np.eye(4)
     T[:3, 3] = 2, 0, 1

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "docdepth/detections/quantile.hpp"
+#include "docdepth/geometry/box_tree.hpp"
 #include "docdepth/tracking/constants.hpp"
 
 namespace docdepth {
@@ -21,6 +22,8 @@ constexpr float kFragmentSpeed = 3;
 constexpr float kFragmentGap = 0.25f;
 /// while it goes so far [m].
 constexpr float kFragmentPath = 3;
+/// Fragments are looked for so far beside a vehicle [m]: the gap, and rounding.
+constexpr float kReachMargin = 2 * kFragmentGap;
 
 double time_of(const TrackObservation& seen, const std::vector<double>& times) {
   return times[seen.sweep] + seen.time_offset;
@@ -86,12 +89,17 @@ std::vector<std::size_t> find_vehicles(const std::vector<ObjectTrack>& objects,
                                        const std::vector<double>& times,
                                        const TrackingOptions& options) {
   std::vector<float> areas;
+  std::vector<Extent> reaches;
   std::vector<std::size_t> vehicles(objects.size());
-  for (const ObjectTrack& object : objects) areas.push_back(total_area(object.track));
+  for (const ObjectTrack& object : objects) {
+    areas.push_back(total_area(object.track));
+    reaches.push_back(object.path.reach());
+  }
+  const BoxTree places(reaches);
   for (std::size_t k = 0; k < objects.size(); ++k) {
     vehicles[k] = k;
     const auto& mine = objects[k].track.observations;
-    for (std::size_t other = 0; other < objects.size(); ++other) {
+    for (const std::size_t other : places.near(reaches[k], kReachMargin)) {
       const auto& [track, path] = objects[other];
       const bool larger = areas[other] > areas[k] || (areas[other] == areas[k] && other < k);
       if (!larger || areas[other] <= areas[vehicles[k]] ||

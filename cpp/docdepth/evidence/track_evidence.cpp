@@ -75,6 +75,12 @@ bool TrackEvidence::covers(double time) const {
          (time > last_.time && stands_after());
 }
 
+std::optional<Extent> TrackEvidence::reach(double time) const {
+  if (is_rail_ || !is_known_) return std::nullopt;
+  const double known = std::clamp(time, first_.time, last_.time);
+  return object_.path.box(known).extent(kSearchMargin + kRoundingMargin);
+}
+
 /// Whether it moved while the votes called it dynamic.
 bool TrackEvidence::is_seen_to_move() const {
   const auto& observations = object_.track.observations;
@@ -127,13 +133,9 @@ bool TrackEvidence::are_apart(double time, const Detection& object, const Detect
 }
 
 TrackEvidence::KnownPlace TrackEvidence::place_of(std::size_t observation) const {
-  const OrientedBox box = object_.path.box(stamps_[observation]);
-  const Eigen::Isometry3f T = box.T_box_world.inverse();
-  const Vector half = box.half.array() + (kSearchMargin + kRoundingMargin);
-  const Vector reach = T.linear().cwiseAbs() * half;
   return {.time = stamps_[observation],
           .deviation = object_.path.deviation(observation),
-          .extent = {T.translation() - reach, T.translation() + reach}};
+          .extent = object_.path.box(stamps_[observation]).extent(kSearchMargin + kRoundingMargin)};
 }
 
 bool TrackEvidence::lies_there(const Detection& object, double time, float margin) const {
@@ -180,10 +182,13 @@ bool TrackEvidence::was_free(const Detection& object, double time,
 bool TrackEvidence::is_of_vehicle(const Detection& object, const TrackedSweep& sweep) const {
   const auto& samples = object.samples();
   const bool is_long = object_.path.extent().size().x() >= kMinLongVehicle;
+  const Vector middle = 0.5f * (object.box.low + object.box.high);
+  const float radius = 0.5f * object.box.size().norm() + kRoundingMargin;
   return std::any_of(sweep.boxes.begin(), sweep.boxes.end(), [&](const TrackedBox& of) {
     const auto inside = [&](const Vector& p) { return of.box.contains(p, kSearchMargin); };
     return (is_long || of.track != number_) &&
            2 * of.box.half.head<2>().maxCoeff() >= kMinRigidWidth &&
+           of.box.contains(middle, kSearchMargin + radius) &&  // far faster to test
            std::count_if(samples.begin(), samples.end(), inside) >=
                kQueueShare * float(samples.size());
   });

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <deque>
+#include <optional>
 #include <vector>
 
 #include "docdepth/evidence/object_track.hpp"
@@ -25,6 +26,10 @@ class TrackEvidence {
 
   /// Whether it is known where the object is: it stays where it stands when it is last seen.
   bool covers(double time) const;
+
+  /// Around all detections besides its members that the track can make dynamic in a sweep at a time
+  /// [s], and a little more; nothing if there are none.
+  std::optional<Extent> reach(double time) const;
 
   /// Whether the track makes a detection dynamic.
   /// @param time       of its sweep [s]

@@ -15,6 +15,7 @@
 #include "docdepth/evidence/track_evidence.hpp"
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/tracking/constants.hpp"
+#include "docdepth/tracking/detection_index.hpp"
 #include "docdepth/tracking/tracker.hpp"
 
 namespace docdepth {
@@ -52,9 +53,19 @@ class DetectionWindow {
 struct SweepBuffer {
   std::size_t first = 0;
   std::vector<std::shared_ptr<const Detections>> detections;
+  std::vector<DetectionIndex> indices;  ///< of each of them
 
   std::size_t end() const { return first + detections.size(); }
-  const Detections& operator[](std::size_t sweep) const { return *detections[sweep - first]; }
+  const DetectionIndex& operator[](std::size_t sweep) const { return indices[sweep - first]; }
+  void push_back(std::shared_ptr<const Detections> sweep) {
+    indices.emplace_back(*sweep);
+    detections.push_back(std::move(sweep));
+  }
+  void drop(std::size_t count) {
+    detections.erase(detections.begin(), detections.begin() + std::ptrdiff_t(count));
+    indices.erase(indices.begin(), indices.begin() + std::ptrdiff_t(count));
+    first += count;
+  }
 };
 
 /// Where an object is in the sweeps in which that is known.
@@ -87,23 +98,30 @@ Reach reach_of(const TrackEvidence& evidence, const std::vector<double>& times) 
 
 /// The detections of some sweeps that belong to a track, in order. Sweeps are asked in order, too.
 /// @param tracked  of all sweeps, with the boxes of all tracks
-Members members_of(TrackEvidence& evidence, const Reach& reach, const SweepBuffer& sweeps,
+Members members_of(TrackEvidence& evidence, const Reach& within, const SweepBuffer& sweeps,
                    std::size_t begin, const std::vector<double>& times,
                    const std::vector<TrackedSweep>& tracked) {
   const auto& observations = evidence.object().track.observations;
   Members members;
-  const std::size_t first = std::max(reach.first, begin),
-                    end = std::min(reach.last + 1, sweeps.end());
+  const std::size_t first = std::max(within.first, begin),
+                    end = std::min(within.last + 1, sweeps.end());
   const auto before = [](const TrackObservation& seen, std::size_t i) { return seen.sweep < i; };
   auto seen = std::lower_bound(observations.begin(), observations.end(), first, before);
   for (std::size_t i = first; i < end; ++i) {
     while (seen != observations.end() && seen->sweep < i) ++seen;
     const bool is_seen = seen != observations.end() && seen->sweep == i;
     if (!is_seen && !evidence.covers(times[i])) continue;
-    const Detections& detections = sweeps[i];
+    const Detections& detections = sweeps[i].detections();
+    std::vector<std::uint32_t> near;
+    if (const auto reach = evidence.reach(times[i])) near = sweeps[i].near(*reach, 0);
+    if (is_seen) {
+      near.insert(near.end(), seen->objects.begin(), seen->objects.end());
+      std::sort(near.begin(), near.end());
+      near.erase(std::unique(near.begin(), near.end()), near.end());
+    }
     std::vector<std::pair<const Detection*, bool>> found;
     const Detection* best = nullptr;  // of whose place most was free before or after
-    for (std::uint32_t k = 0; k < detections.size(); ++k) {
+    for (const auto k : near) {
       const bool is_member = is_seen && std::find(seen->objects.begin(), seen->objects.end(), k) !=
                                             seen->objects.end();
       const bool dynamic = evidence.makes_dynamic(times[i], detections[k], is_member, tracked);
@@ -206,7 +224,8 @@ std::vector<ObjectTrack> cut(SeenTrack whole, const std::vector<double>& times,
 /// first observation of a track to its last.
 std::vector<ObjectTrack> single_objects(std::vector<Track> tracks, const ReadDetections& read,
                                         const std::vector<double>& times,
-                                        const TrackingOptions& options, int threads) {
+                                        const TrackingOptions& options, int threads,
+                                        const TellProgress& progress) {
   std::vector<std::vector<std::size_t>> begin(times.size());  // tracks by their first sweep
   for (std::size_t k = 0; k < tracks.size(); ++k)
     if (tracks[k].transient_count >= options.min_detections)
@@ -222,6 +241,7 @@ std::vector<ObjectTrack> single_objects(std::vector<Track> tracks, const ReadDet
     whole.clear();
   };
   for (std::size_t i = 0; i < times.size(); ++i) {
+    progress(double(i) / double(times.size()));
     for (const std::size_t k : begin[i]) open.push_back({k, std::move(tracks[k]), {}});
     const auto is_seen = [&](const SeenTrack& seen) {
       return seen.track.observations[seen.surfaces.size()].sweep == i;
@@ -239,6 +259,7 @@ std::vector<ObjectTrack> single_objects(std::vector<Track> tracks, const ReadDet
     if (whole.size() >= kTracksAtOnce) estimate_paths();
   }
   estimate_paths();
+  progress(1);
   std::vector<ObjectTrack> single;
   for (auto& of : parts)
     for (ObjectTrack& part : of) single.push_back(std::move(part));
@@ -271,14 +292,16 @@ class SweepTracker {
     for (std::size_t k = 0; k < evidence_.size(); ++k) begin_[reach_[k].first].push_back(k);
   }
 
-  void run(const ReadDetections& read, const TakeSweep& take, std::size_t buffer_size) {
+  void run(const ReadDetections& read, const TakeSweep& take, std::size_t buffer_size,
+           const TellProgress& progress) {
     while (buffer_.end() < times_.size()) {
       const std::size_t begin = buffer_.end();
       const std::size_t end = std::min(times_.size(), begin + buffer_size);
-      for (std::size_t i = begin; i < end; ++i) buffer_.detections.push_back(read(i));
+      for (std::size_t i = begin; i < end; ++i) buffer_.push_back(read(i));
       find_members(begin);
       find_voxels();
       for (; given_ < found_; ++given_) take(result_[given_]);
+      progress(double(given_) / double(times_.size()));
       drop_past();
     }
   }
@@ -335,9 +358,7 @@ class SweepTracker {
       result_[buffer_.first + past].voxels = {};
       ++past;
     }
-    buffer_.detections.erase(buffer_.detections.begin(),
-                             buffer_.detections.begin() + std::ptrdiff_t(past));
-    buffer_.first += past;
+    buffer_.drop(past);
   }
 
   std::vector<double> times_;
@@ -366,22 +387,28 @@ bool TrackedSweep::makes_dynamic(std::uint32_t first) const {
 std::vector<TrackedObject> track_objects(const ReadDetections& read,
                                          const std::vector<double>& times, int threads,
                                          const TakeSweep& take, std::size_t buffer_size,
-                                         const TrackingOptions& options) {
+                                         const TrackingOptions& options,
+                                         const TellProgress& progress) {
+  // Most of the work is to follow objects, then to find their paths.
+  const auto part = [&](double begin, double end) {
+    return [&progress, begin, end](double share) { progress(begin + share * (end - begin)); };
+  };
   std::vector<ObjectTrack> objects;
   {
     DetectionWindow window(read, buffer_size);
-    const auto add_moving = [&](std::vector<Track> tracks) {
-      for (auto& one : single_objects(std::move(tracks), std::ref(window), times, options, threads))
+    const auto add_moving = [&](std::vector<Track> tracks, const TellProgress& of_paths) {
+      for (auto& one :
+           single_objects(std::move(tracks), std::ref(window), times, options, threads, of_paths))
         if (moves(one, times, options)) objects.push_back(std::move(one));
     };
-    add_moving(follow_objects(std::ref(window), times, options));
-    add_moving(merge_fragments(objects, times, options));
+    add_moving(follow_objects(std::ref(window), times, options, part(0, 0.6)), part(0.6, 0.85));
+    add_moving(merge_fragments(objects, times, options), part(0.85, 0.9));
   }
   std::stable_sort(objects.begin(), objects.end(), [](const auto& a, const auto& b) {
     return a.track.observations.size() > b.track.observations.size();
   });
   SweepTracker tracker(std::move(objects), times, options, threads);
-  tracker.run(read, take, buffer_size);
+  tracker.run(read, take, buffer_size, part(0.9, 1));
   return tracker.objects();
 }
 

@@ -71,10 +71,11 @@ using TakeSweep = std::function<void(const TrackedSweep& sweep)>;
 /// @param buffer_size  so many sweeps are in memory at once, at least 1, and those within the
 /// window
 ///   of dynamic voxels around them; results do not depend on it
+/// @param progress     told after each sweep of each step
 /// @return track 1, 2, ...
-std::vector<TrackedObject> track_objects(const ReadDetections& read,
-                                         const std::vector<double>& times, int threads,
-                                         const TakeSweep& take, std::size_t buffer_size,
-                                         const TrackingOptions& options = {});
+std::vector<TrackedObject> track_objects(
+    const ReadDetections& read, const std::vector<double>& times, int threads,
+    const TakeSweep& take, std::size_t buffer_size, const TrackingOptions& options = {},
+    const TellProgress& progress = [](double) {});
 
 }  // namespace docdepth

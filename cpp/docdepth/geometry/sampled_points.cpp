@@ -4,6 +4,8 @@
 #include <cmath>
 #include <utility>
 
+#include "docdepth/geometry/point_grid.hpp"
+
 namespace docdepth {
 namespace {
 
@@ -45,16 +47,6 @@ class KeyNumbers {
   std::vector<std::uint32_t> slots_ = std::vector<std::uint32_t>(8, kEmpty);
   std::vector<std::uint64_t> keys_;
 };
-
-/// Squared distance from p to the nearest point, and its index.
-std::pair<float, std::size_t> nearest(const SampledPoints& points, const Vector& p) {
-  std::pair<float, std::size_t> found{INFINITY, 0};
-  for (std::size_t i = 0; i < points.size(); ++i) {
-    const float squared = (points[i] - p).squaredNorm();
-    if (squared < found.first) found = {squared, i};
-  }
-  return found;
-}
 
 /// Call visit(i, number of its voxel) for each point; voxels are numbered as they come.
 template <class Visit>
@@ -211,16 +203,18 @@ Vector most_frequent_shift(const TimedPoints& a, const TimedPoints& b, float dt,
 
 bool refine_shift(const SampledPoints& a, const SampledPoints& b, Vector& shift) {
   if (b.empty()) return false;
+  const PointGrid of_b(b);
   SampledPoints moved(a.size());
   for (const float radius : kRefineRadii) {
     for (std::size_t i = 0; i < a.size(); ++i) moved[i] = a[i] + shift;
+    const PointGrid of_moved(moved);
     Vector sum = Vector::Zero();
     std::size_t count = 0;
     for (std::size_t i = 0; i < moved.size(); ++i) {
-      const auto [squared, partner] = nearest(b, moved[i]);
+      const auto [squared, partner] = of_b.nearest(moved[i], radius);
       if (squared > radius * radius) continue;
       // What is hidden by now would pull towards the edge of what is not.
-      if (nearest(moved, b[partner]).second != i) continue;
+      if (of_moved.nearest(b[partner], radius).second != i) continue;
       sum += b[partner] - moved[i];
       ++count;
     }
@@ -230,11 +224,21 @@ bool refine_shift(const SampledPoints& a, const SampledPoints& b, Vector& shift)
   return true;
 }
 
-float matched_share(const SampledPoints& points, const Vector& shift, const SampledPoints& others,
+float matched_share(const SampledPoints& points, const Vector& shift, const PointGrid& others,
                     float distance) {
   std::size_t found = 0;
-  for (const Vector& p : points) found += nearest(others, p + shift).first < distance * distance;
+  for (const Vector& point : points) {
+    const Vector p = point + shift;
+    found += others.any_near(p, distance, [&](const Vector& other, std::size_t) {
+      return (other - p).squaredNorm() < distance * distance;
+    });
+  }
   return float(found) / float(points.size());
+}
+
+float matched_share(const SampledPoints& points, const Vector& shift, const SampledPoints& others,
+                    float distance) {
+  return matched_share(points, shift, PointGrid(others), distance);
 }
 
 }  // namespace docdepth

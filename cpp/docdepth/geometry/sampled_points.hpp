@@ -23,6 +23,7 @@ constexpr float kMinTimeShare = 0.3f;
 constexpr float kMatchDistance = 0.3f;
 
 using SampledPoints = std::vector<Eigen::Vector3f>;
+class PointGrid;
 
 /// An axis-aligned box by its corners.
 struct Extent {
@@ -58,6 +59,13 @@ struct OrientedBox {
     return (p.array().abs() <= half.array() + margin).all();
   }
   Eigen::Vector3f middle() const { return T_box_world.inverse().translation(); }
+  /// Around all that lies in the box or at most `margin` beside it [m].
+  Extent extent(float margin) const {
+    const Eigen::Isometry3f T = T_box_world.inverse();
+    const Eigen::Vector3f larger = half.array() + margin;
+    const Eigen::Vector3f reach = T.linear().cwiseAbs() * larger;
+    return {T.translation() - reach, T.translation() + reach};
+  }
 };
 
 /// Bounding box of at least one point.
@@ -133,6 +141,8 @@ Eigen::Vector3f most_frequent_shift(const TimedPoints& a, const TimedPoints& b, 
 bool refine_shift(const SampledPoints& a, const SampledPoints& b, Eigen::Vector3f& shift);
 
 /// Share of the shifted points that have one of `others` within `distance`.
+float matched_share(const SampledPoints& points, const Eigen::Vector3f& shift,
+                    const PointGrid& others, float distance = kMatchDistance);
 float matched_share(const SampledPoints& points, const Eigen::Vector3f& shift,
                     const SampledPoints& others, float distance = kMatchDistance);
 

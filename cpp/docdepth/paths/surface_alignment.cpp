@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "docdepth/detections/quantile.hpp"
+#include "docdepth/geometry/point_grid.hpp"
 
 namespace docdepth {
 namespace {
@@ -81,24 +82,31 @@ Ends ends_of(const ObservedSurface& seen, const Eigen::Isometry3f& T_object_worl
   return ends;
 }
 
+/// The nearest sample of a model that may be the partner of a point with a normal, of equally near
+/// ones the first; the number of samples if none is within a radius.
+std::size_t partner_of(const Vector& p, const Vector& facing, const SampledSurface& model,
+                       const PointGrid& places, float radius) {
+  std::pair<float, std::size_t> nearest{radius * radius, model.points.size()};
+  places.any_near(p, radius, [&](const Vector& point, std::size_t index) {
+    const std::pair<float, std::size_t> found{(point - p).squaredNorm(), index};
+    // Without a normal (zero) a sample is nobody's opposite.
+    if (found < nearest && found.first < radius * radius && !(facing.dot(model.normals[index]) < 0))
+      nearest = found;
+    return false;
+  });
+  return nearest.second;
+}
+
+/// @param places  of the samples of the model
 /// @param radius  farther samples are no partners [m]
 Equations equations_of(const SampledSurface& seen, const SampledSurface& model,
-                       const Eigen::Isometry3f& T_object_world, float radius,
-                       const AlignmentOptions& options) {
+                       const PointGrid& places, const Eigen::Isometry3f& T_object_world,
+                       float radius, const AlignmentOptions& options) {
   Equations sum;
   for (std::size_t i = 0; i < seen.points.size(); ++i) {
     const Vector p = T_object_world * seen.points[i];
     const Vector facing = T_object_world.linear() * seen.normals[i];
-    float nearest = radius * radius;
-    std::size_t partner = model.points.size();
-    for (std::size_t j = 0; j < model.points.size(); ++j) {
-      const float squared = (model.points[j] - p).squaredNorm();
-      if (!(squared < nearest)) continue;
-      // Without a normal (zero) a sample is nobody's opposite.
-      if (facing.dot(model.normals[j]) < 0) continue;
-      nearest = squared;
-      partner = j;
-    }
+    const std::size_t partner = partner_of(p, facing, model, places, radius);
     if (partner == model.points.size()) continue;
     ++sum.matched;
     const Vector off = p - model.points[partner];
@@ -255,9 +263,11 @@ SurfaceAlignment align_surface(const ObservedSurface& seen, const SurfaceModel& 
   Vector4 moved = Vector4::Zero();
   Equations last;
   const Ends model_ends = model.ends();
+  const PointGrid places(model.surface().points);
   for (const float radius : kPartnerRadii) {
-    last = equations_of(seen, model.surface(), T_object_world.cast<float>(), radius, options);
-    add_ends(seen, model_ends, T_object_world.cast<float>(), options.residual_deviation, last);
+    const Eigen::Isometry3f T = T_object_world.cast<float>();
+    last = equations_of(seen, model.surface(), places, T, radius, options);
+    add_ends(seen, model_ends, T, options.residual_deviation, last);
     const Vector4 gradient = information * last.gradient + prior * moved;
     const Vector4 step = -(information * last.hessian + prior).ldlt().solve(gradient);
     moved += step;

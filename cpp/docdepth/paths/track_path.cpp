@@ -102,6 +102,20 @@ OrientedBox TrackPath::around(const Extent& extent, double t) const {
   return {T.inverse().cast<float>(), 0.5f * extent.size()};
 }
 
+Extent TrackPath::reach() const {
+  std::vector<Eigen::Vector3f> places;
+  for (const PathState& state : path_.states) places.push_back(state.position.cast<float>());
+  const double gap = std::max(max_gap_, max_gap_standing_) + kTimeTolerance;
+  for (const double time : {path_.states.front().time - gap, path_.states.back().time + gap})
+    places.push_back(pose(time).translation().cast<float>());
+  const Extent around = extent_of(places);
+  // From its place to the middle of its box, and twice from there to a corner.
+  const Eigen::Vector3f middle = 0.5f * (path_.extent.low + path_.extent.high);
+  const float radius = middle.norm() + path_.extent.size().norm();
+  const Eigen::Vector3f low = around.low.array() - radius, high = around.high.array() + radius;
+  return {{low.x(), low.y(), 0}, {high.x(), high.y(), 0}};
+}
+
 float TrackPath::distance() const {
   SureDistance distance;
   for (const PathState& state : path_.states) distance.add(state);

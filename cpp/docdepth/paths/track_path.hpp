@@ -25,6 +25,8 @@ class TrackPath {
   OrientedBox box(double t) const;
   /// Around all that was ever seen of it.
   OrientedBox whole_box(double t) const { return around(path_.extent, t); }
+  /// Around all places where the path covers it, and more, as seen from above: heights are 0.
+  Extent reach() const;
   /// How well its place is known at an observation [m].
   double deviation(std::size_t observation) const { return path_.states[observation].deviation; }
   /// The same of what is seen of its surface, across itself [m]: a lorry may be known badly along

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "docdepth/geometry/point_grid.hpp"
 #include "docdepth/tracking/constants.hpp"
 #include "docdepth/tracking/neighbors.hpp"
 
@@ -18,12 +19,12 @@ constexpr float kMaxSizeMargin = 0.5f;
 
 /// Share of the shifted samples that have one of `others` beside them. Rings leave gaps above and
 /// below, so that only the horizontal distance tells exactly.
-float level_share(const SampledPoints& samples, const Vector& shift, const SampledPoints& others,
+float level_share(const SampledPoints& samples, const Vector& shift, const PointGrid& others,
                   float distance) {
   std::size_t found = 0;
   for (const Vector& sample : samples) {
     const Vector p = sample + shift;
-    found += std::any_of(others.begin(), others.end(), [&](const Vector& q) {
+    found += others.any_near(p, distance, [&](const Vector& q, std::size_t) {
       return (q - p).head<2>().squaredNorm() < distance * distance &&
              std::fabs(q.z() - p.z()) < kMatchDistance;
     });
@@ -34,11 +35,13 @@ float level_share(const SampledPoints& samples, const Vector& shift, const Sampl
 /// A track and a sweep in which it may go on.
 class MatchSearch {
  public:
-  MatchSearch(const TrackState& state, const Detections& seen, const std::vector<bool>& free,
-              double time, const MatchOptions& options)
+  MatchSearch(const TrackState& state, const DetectionIndex& seen,
+              const std::function<bool(std::uint32_t)>& is_free, double time,
+              const MatchOptions& options)
       : state_(state),
-        seen_(seen),
-        free_(free),
+        index_(seen),
+        seen_(seen.detections()),
+        is_free_(is_free),
         time_(time),
         dt_(float(time - state.time)),
         reach_(options.max_speed * std::fabs(dt_)),
@@ -67,14 +70,14 @@ class MatchSearch {
       attempt(Vector::Zero());
     }
     const Extent box = extent_of(samples.points);
-    for (std::uint32_t k = 0; k < seen_.size(); ++k) {
+    const bool is_known = state_.velocity.is_known;
+    const Extent around = is_known ? box.moved(expected_) : box;
+    const float margin = is_known ? kSearchMargin : reach_;
+    for (const auto k : index_.near(around, margin, state_.velocity.mean, state_.offset)) {
       const Detection& object = seen_[k];
-      if (!free_[k] || !could_match(object.box, state_.largest)) continue;
-      const Extent there = box_of(object, state_.velocity.mean);
-      const bool near = state_.velocity.is_known
-                            ? there.overlaps(box.moved(expected_), kSearchMargin)
-                            : object.is_transient() && there.overlaps(box, reach_);
-      if (!near) continue;
+      if (!could_match(object.box, state_.largest) || !(is_known || object.is_transient()) ||
+          !box_of(object, state_.velocity.mean).overlaps(around, margin) || !is_free_(k))
+        continue;
       const float rise = state_.grade.rise(time_, object.ground);
       try_shifts(samples, box, object, 0, attempt);  // in any case: the ground may be seen wrong
       if (rise != 0) try_shifts(samples, box, object, rise, attempt);
@@ -120,9 +123,9 @@ class MatchSearch {
     std::vector<SampledPoints> samples_near;
     float range = 0;
     SampledPoints there;
-    for (std::uint32_t k = 0; k < seen_.size(); ++k) {
+    for (const auto k : index_.near(box, kSearchMargin, velocity, state_.offset)) {
       const Detection& object = seen_[k];
-      if (!box_of(object, velocity).overlaps(box, kSearchMargin) || !free_[k]) continue;
+      if (!box_of(object, velocity).overlaps(box, kSearchMargin) || !is_free_(k)) continue;
       if (!state_.velocity.is_known && !object.is_transient()) continue;
       if (!could_match(object.box, state_.largest) || is_among(object, state_.neighbors)) continue;
       near.push_back(k);
@@ -137,8 +140,9 @@ class MatchSearch {
     match.error = shift_error_at(range);
     if (!state_.velocity.allows(match.shift, dt_, match.error)) match.shift = start;
     if (!state_.velocity.allows(match.shift, dt_, match.error)) return {};
+    const PointGrid track(samples);
     for (std::size_t n = 0; n < near.size(); ++n)
-      if (matched_share(samples_near[n], -match.shift, samples) >= kMinMemberShare)
+      if (matched_share(samples_near[n], -match.shift, track) >= kMinMemberShare)
         match.objects.push_back(near[n]);
     if (match.objects.empty()) return {};
     match.neighbors = drop_neighbors(seen_, match.objects);
@@ -146,15 +150,16 @@ class MatchSearch {
     SampledPoints found;
     for (const auto k : match.objects) add(seen_[k], samples_of(seen_[k], velocity), match, found);
     // Where most of the track is not what was kept, what was dropped may be the track itself.
-    if (matched_share(samples, match.shift, found) < options_.min_kept_share)
+    const PointGrid kept(found);
+    if (matched_share(samples, match.shift, kept) < options_.min_kept_share)
       match.neighbors.clear();
     // Together larger than one object: a pedestrian and what he walks away from.
     if (!could_match(match.box, match.largest)) return {};
     // Half of a track may be hidden, so twice its matched share counts. Of two equal matches the
     // one nearer to where it is expected is more likely.
     const auto score = [&](const auto& share) {
-      return std::min(1.0f, 2 * share(samples, match.shift, found)) *
-             share(found, -match.shift, samples) /
+      return std::min(1.0f, 2 * share(samples, match.shift, kept)) *
+             share(found, -match.shift, track) /
              (1 + (match.shift - expected_).norm() / (2 * reach_));
     };
     const auto nearly = [](const auto&... of) { return matched_share(of...); };
@@ -184,8 +189,9 @@ class MatchSearch {
   }
 
   const TrackState& state_;
+  const DetectionIndex& index_;
   const Detections& seen_;
-  const std::vector<bool>& free_;
+  const std::function<bool(std::uint32_t)>& is_free_;
   const double time_;
   const float dt_, reach_;
   const MatchOptions options_;
@@ -194,9 +200,10 @@ class MatchSearch {
 
 }  // namespace
 
-Match find_match(const TrackState& state, const Detections& seen, const std::vector<bool>& free,
-                 double time, const MatchOptions& options) {
-  const MatchSearch search(state, seen, free, time, options);
+Match find_match(const TrackState& state, const DetectionIndex& seen,
+                 const std::function<bool(std::uint32_t)>& is_free, double time,
+                 const MatchOptions& options) {
+  const MatchSearch search(state, seen, is_free, time, options);
   Match match = search.best(state.samples);
   return match.score > 0 ? match : search.best(state.last);
 }

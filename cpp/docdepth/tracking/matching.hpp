@@ -2,9 +2,11 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <vector>
 
 #include "docdepth/detections/detections.hpp"
+#include "docdepth/tracking/detection_index.hpp"
 #include "docdepth/tracking/track.hpp"
 
 namespace docdepth {
@@ -50,10 +52,11 @@ struct MatchOptions {
 /// behind where another one does. So all samples are compared where they were at one time after the
 /// stamp of their sweep: that at which the track was seen last.
 ///
-/// @param free  of each detection, whether the track may take it
-/// @param time  stamp of the sweep [s]
-Match find_match(const TrackState& state, const Detections& seen, const std::vector<bool>& free,
-                 double time, const MatchOptions& options);
+/// @param is_free  whether the track may take a detection
+/// @param time     stamp of the sweep [s]
+Match find_match(const TrackState& state, const DetectionIndex& seen,
+                 const std::function<bool(std::uint32_t)>& is_free, double time,
+                 const MatchOptions& options);
 
 /// Whether a box may be the same object as one that was seen with another size.
 bool could_match(const Extent& box, const Eigen::Vector3f& size);

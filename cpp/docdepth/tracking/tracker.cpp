@@ -38,12 +38,20 @@ std::size_t sweeps_between(const TrackState& state, std::size_t sweep) {
 
 class Tracker {
  public:
-  Tracker(ReadDetections read, std::vector<double> times, const TrackingOptions& options)
-      : read_(std::move(read)), times_(std::move(times)), options_(options) {}
+  Tracker(ReadDetections read, std::vector<double> times, const TrackingOptions& options,
+          TellProgress progress)
+      : read_(std::move(read)),
+        times_(std::move(times)),
+        options_(options),
+        progress_(std::move(progress)) {}
 
   std::vector<Track> run() {
     for (std::size_t i = 0; i < times_.size(); ++i) ego_.add(*read_(i));
-    for (std::size_t i = 0; i < times_.size(); ++i) forward(i);
+    const double steps = 2 * double(times_.size());
+    for (std::size_t i = 0; i < times_.size(); ++i) {
+      forward(i);
+      progress_(double(i + 1) / steps);
+    }
     active_.clear();
     std::vector<std::vector<int>> begin(times_.size());  // tracks by their first sweep
     for (std::size_t k = 0; k < tracks_.size(); ++k)
@@ -52,6 +60,7 @@ class Tracker {
       backward(i);
       for (const int k : begin[i])
         if (!tracks_[k].observations.empty()) active_.push_back(beginning(k));
+      progress_(1 - double(i) / steps);
     }
     std::vector<Track> found;
     for (Track& track : tracks_)
@@ -125,13 +134,13 @@ class Tracker {
       return tracks_[a.track].observations.size() > tracks_[b.track].observations.size();
     });
     const auto detections = read_(sweep);
+    const DetectionIndex index(*detections);
     std::vector<TrackState> active;
     for (TrackState& state : active_) {
       const double dt = times_[sweep] - state.time;
       if (is_lost(state, sweep)) continue;
-      std::vector<bool> free(owners_[sweep].size());
-      for (std::uint32_t k = 0; k < free.size(); ++k) free[k] = is_free(sweep, k, state);
-      Match match = find_match(state, *detections, free, times_[sweep], options_.matching);
+      const auto may_take = [&](std::uint32_t k) { return is_free(sweep, k, state); };
+      Match match = find_match(state, index, may_take, times_[sweep], options_.matching);
       if (match.score > 0 && may_merge(sweep, match, dt) &&
           !was_occupied_before(state, sweep, *detections, match)) {
         TrackObservation observation = observe(sweep, *detections, match.objects);
@@ -291,6 +300,7 @@ class Tracker {
   EgoBody ego_;
   std::vector<double> times_;
   TrackingOptions options_;
+  TellProgress progress_;
   std::vector<Track> tracks_;
   std::vector<std::vector<int>> owners_;           ///< of each detection of each sweep
   std::vector<VelocityEstimate> last_velocities_;  ///< of each track, at its last observation
@@ -302,8 +312,8 @@ class Tracker {
 }  // namespace
 
 std::vector<Track> follow_objects(const ReadDetections& read, const std::vector<double>& times,
-                                  const TrackingOptions& options) {
-  return Tracker(read, times, options).run();
+                                  const TrackingOptions& options, const TellProgress& progress) {
+  return Tracker(read, times, options, progress).run();
 }
 
 }  // namespace docdepth

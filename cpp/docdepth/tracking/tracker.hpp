@@ -15,6 +15,10 @@ namespace docdepth {
 /// a sweep several times.
 using ReadDetections = std::function<std::shared_ptr<const Detections>(std::size_t sweep)>;
 
+/// Takes the share of the work that is done, ascending up to 1. It is called from the thread that
+/// tracks.
+using TellProgress = std::function<void(double share)>;
+
 /// What tracking depends on. Beyond the paper.
 struct TrackingOptions {
   /// A track is dynamic if it is transient in this many sweeps,
@@ -41,8 +45,10 @@ struct TrackingOptions {
 /// followed backward, meets the end of the earlier. What the LiDAR sees of its own vehicle is not
 /// tracked (EgoBody).
 ///
-/// @param times  of the sweeps [s]
-std::vector<Track> follow_objects(const ReadDetections& read, const std::vector<double>& times,
-                                  const TrackingOptions& options);
+/// @param times     of the sweeps [s]
+/// @param progress  told after each sweep
+std::vector<Track> follow_objects(
+    const ReadDetections& read, const std::vector<double>& times, const TrackingOptions& options,
+    const TellProgress& progress = [](double) {});
 
 }  // namespace docdepth

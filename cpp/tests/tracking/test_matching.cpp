@@ -26,7 +26,7 @@ Match match(const Detections& seen, const VelocityEstimate& velocity = {},
   TrackState state = state_of(exact::detection(exact::box(pose_at(0, 0)), 1));
   state.velocity = velocity;
   free.resize(seen.size(), true);
-  return find_match(state, seen, free, 0.1, {});
+  return find_match(state, DetectionIndex(seen), [&](std::uint32_t k) { return free[k]; }, 0.1, {});
 }
 
 Detection car_at(double x, double y, float free = 1) {
@@ -146,7 +146,9 @@ TEST_CASE("what was dropped is remembered as a neighbor unless most of the track
       both.add(side.points[i], side.normals[i], 0);
     TrackState state = state_of(exact::detection(both, 1));
     state.velocity = velocity(0);
-    const Match found = find_match(state, {came, stood}, {true, true}, 0.1, {});
+    const Detections seen{came, stood};
+    const auto is_free = [](std::uint32_t) { return true; };
+    const Match found = find_match(state, DetectionIndex(seen), is_free, 0.1, {});
     CHECK(found.objects == Rows{0});
     return found.neighbors.size();
   };

@@ -49,7 +49,8 @@ def classify_drive(
     ground : sequence of ndarray of bool, shape (N_i,), optional
         Ground labels of each sweep; grown when not given.
     progress : callable, optional
-        Called with the step (``ground``, ``classify``), the sweeps done and their number.
+        Called with the step (``ground``, ``classify``, ``track``), the sweeps done and their
+        number.
     threads : int
         0 for all cores. The labels do not depend on it.
 
@@ -79,7 +80,13 @@ def classify_drive(
     tracks: list[Track] = []
     if classifier.uses_tracks:
         tracked: list[TrackedSweep] = []
-        tracks = classifier.track(store.detections.__getitem__, tracked.append, threads)
+        following = partial(progress or null_progress, "track")
+        tracks = classifier.track(
+            store.detections.__getitem__,
+            tracked.append,
+            lambda done: following(done, len(every)),
+            threads,
+        )
         classifier.label_by_tracks(store, tracked, every, lambda done: None)
     labels = DriveLabels(store.labels[i] for i in every)
     labels.tracks = tracks

@@ -220,11 +220,22 @@ class SweepClassifier:
         return writers.submit(store.store_evidence, index, Evidence(kept, objects), detections)
 
     def track(
-        self, read: Callable[[int], _core.Detections], take: TakeSweep, threads: int = 0
+        self,
+        read: Callable[[int], _core.Detections],
+        take: TakeSweep,
+        progress: Callable[[int], None],
+        threads: int = 0,
     ) -> list[Track]:
-        """Track objects through the drive, as :func:`track_objects` does."""
+        """Track objects through the drive, as :func:`track_objects` does.
+
+        ``progress`` is called with the share that is done, in sweeps.
+        """
+
+        def done(share: float) -> None:
+            progress(int(share * len(self._trajectory)))
+
         with self._timer("tracks"):
-            return track_objects(read, self._trajectory, take, threads)
+            return track_objects(read, self._trajectory, take, threads, done)
 
     def label_by_tracks(
         self,

@@ -105,6 +105,7 @@ def track_objects(
     trajectory: Trajectory,
     take: TakeSweep,
     threads: int = 0,
+    progress: Callable[[float], None] | None = None,
 ) -> list[Track]:
     """Track dynamic objects through the drive, to find them also where votes do not.
 
@@ -138,6 +139,8 @@ def track_objects(
         Called with what is found in each sweep, in order.
     threads : int
         0 for all cores. The result does not depend on it.
+    progress : callable, optional
+        Called with the share that is done, from 0 to 1.
 
     Returns
     -------
@@ -151,6 +154,7 @@ def track_objects(
         threads,
         lambda found: take(TrackedSweep(*found)),
         _HELD_SWEEPS,
+        progress or (lambda share: None),
     )
     if len(objects) > MAX_TRACKS:
         log.warning(

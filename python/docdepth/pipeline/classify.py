@@ -42,7 +42,8 @@ def run_classify(
     threads : int
         0 for all cores.
     progress : callable, optional
-        Called with the step (``ground``, ``classify``), the frames done and their number.
+        Called with the step (``ground``, ``classify``, ``track``), the frames done and their
+        number.
     workers : WorkerPool, optional
         Who does the work; this process with its threads if absent.
     stage : Stage, optional
@@ -108,7 +109,12 @@ def _classify(
         if not known:
             classifier = SweepClassifier(trajectory, parameters, timer)
             store.store_tracks(
-                lambda take: classifier.track(store.detections, take, workers.threads)
+                lambda take: classifier.track(
+                    store.detections,
+                    take,
+                    lambda done: report("track", done, len(every)),
+                    workers.threads,
+                )
             )
         map_chunks("tracks", left, lambda done: None)
     return len(left)
