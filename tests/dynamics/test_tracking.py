@@ -273,6 +273,19 @@ def test_tracking_tells_how_much_is_done():
     assert max(np.diff([0, *told])) < 0.2
 
 
+def test_the_track_of_a_point_does_not_depend_on_how_many_are_compared_at_once(monkeypatch):
+    rng = np.random.default_rng(0)
+    boxes = np.zeros(7, TrackedSweep().boxes.dtype)
+    boxes["track"], boxes["T_box_world"] = np.arange(1, 8), np.eye(4)[:3]
+    boxes["T_box_world"][:, :, 3], boxes["half_size"] = rng.uniform(-5, 5, (7, 3)), 1.2
+    points, alone = rng.uniform(-5, 5, (500, 3)).astype(np.float32), np.arange(500, dtype=np.uint32)
+    of_all = points, alone, alone >= 0, TrackedSweep(boxes=boxes), np.eye(4)
+    right = tracking._instances(*of_all)
+    assert len(np.unique(right)) == 8
+    monkeypatch.setattr(tracking, "_PAIRS", 20)
+    assert np.array_equal(tracking._instances(*of_all), right)
+
+
 def test_points_in_a_predicted_box_are_dynamic_unless_votes_or_ground_say_otherwise():
     T = np.eye(4)
     T[:3, 3] = 2, 0, 1

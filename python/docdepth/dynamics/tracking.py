@@ -47,6 +47,9 @@ occupied. Half of the key frames suffice where these are fewer than twice as man
 BOX_MARGIN = 0.5
 """A dynamic point without an object belongs to the box of a track up to this distance [m]."""
 
+_PAIRS = 200_000
+"""So many pairs of a point and a box are compared at once: where all moves, there are millions."""
+
 _MEMBER = np.dtype([("first", "u4"), ("track", "u4"), ("is_dynamic", "u4")])
 _BOX = np.dtype(
     [
@@ -246,15 +249,16 @@ def _instances(
     track_of[members["first"]] = members["track"]
     instance = np.where(dynamic, track_of[objects], 0)
     loose = np.flatnonzero(dynamic & (instance == 0))
-    if len(loose) and len(result.boxes):
-        places = points[loose] @ T_world_lidar[:3, :3].T + T_world_lidar[:3, 3]
+    if len(result.boxes):
         T = result.boxes["T_box_world"]
-        inside = np.einsum("kij,nj->kni", T[:, :, :3], places) + T[:, None, :, 3]
-        off = np.abs(inside) - result.boxes["half_size"][:, None]
-        distance = np.linalg.norm(np.maximum(off, 0), axis=2)
-        nearest = distance.argmin(axis=0)
-        near = distance[nearest, np.arange(len(loose))] <= BOX_MARGIN
-        instance[loose[near]] = result.boxes["track"][nearest[near]]
+        for some in np.array_split(loose, len(loose) * len(T) // _PAIRS + 1):
+            places = points[some] @ T_world_lidar[:3, :3].T + T_world_lidar[:3, 3]
+            inside = np.einsum("kij,nj->kni", T[:, :, :3], places) + T[:, None, :, 3]
+            off = np.abs(inside) - result.boxes["half_size"][:, None]
+            distance = np.linalg.norm(np.maximum(off, 0), axis=2)
+            nearest = distance.argmin(axis=0)
+            near = distance[nearest, np.arange(len(some))] <= BOX_MARGIN
+            instance[some[near]] = result.boxes["track"][nearest[near]]
     return np.where(instance <= MAX_TRACKS, instance, 0).astype(np.uint16)
 
 
