@@ -263,6 +263,18 @@ def test_two_dynamic_sweeps_are_no_track():
     assert tracked([Thing(CAR, passes(4), range(10, 12), remembered=False)], 20) == [[]]
 
 
+def test_rails_have_no_number():
+    """What is seen of one goes along with us. It is seen longest, and would be number 1."""
+    rail = Thing((6.0, 0.24, 0.5), lambda i: (4 + 0.8 * i, 4, 0.25), range(30))
+    car = Thing(CAR, lambda i: passes(-6, start=0)(i) if i > 8 else None, range(30))
+    detections, _ = detections_of([rail, car], 30)
+    found = tracking_of(detections, straight(30))
+    assert [(track.id, track.kind) for track in found.tracks] == [(1, "vehicle")]
+    assert found.tracks[0].size[2] > 1
+    for rows in ("members", "boxes"):
+        assert {number for of in found.sweeps for number in getattr(of, rows)["track"]} == {1}
+
+
 def test_tracking_tells_how_much_is_done():
     things = random_things(np.random.default_rng(0), 20)[:4]
     detections, _ = detections_of(things, 20)

@@ -20,7 +20,7 @@ from docdepth.pipeline.run_cameras import RunCamera, run_cameras
 from docdepth.pipeline.run_inputs import known_poses, open_recording
 from docdepth.pipeline.stage import FrameOutputs, Stage, StageInputs, StageState
 
-_VERSIONS = {"odometry": 8, "classify": 21, "render": 10}
+_VERSIONS = {"odometry": 8, "classify": 22, "render": 10}
 """Counted up when a new version of docdepth makes other results of the same inputs."""
 
 
