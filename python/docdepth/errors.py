@@ -13,6 +13,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+NOTE = 25
+"""Level of logging of what is unusual, but no problem: between INFO and WARNING."""
+
 
 class DocDepthError(Exception):
     """Base class of all errors that docdepth raises.
@@ -249,6 +252,6 @@ def raise_findings(findings: Iterable[Finding]) -> None:
 
 
 def log_findings(log: logging.Logger, findings: Iterable[Finding]) -> None:
-    """Log each as a warning."""
+    """Log each as a warning, or as a note."""
     for found in findings:
-        log.warning("%s", found)
+        log.log(NOTE if found.severity == "note" else logging.WARNING, "%s", found)

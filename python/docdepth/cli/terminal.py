@@ -22,6 +22,7 @@ from typer.core import TyperGroup
 
 from docdepth.cli.remedies import as_commands
 from docdepth.concurrency import Progress, null_progress
+from docdepth.errors import NOTE
 
 _ORDER = (
     *("demo", "inspect", "check", "run", "status", "report", "view", "map", "video"),
@@ -85,7 +86,8 @@ volume = _Volume()
 class _Lines(logging.Handler):
     """Log records as lines of their own, never broken at the width of a terminal.
 
-    A recording is opened several times by one command; each of its warnings is printed once.
+    A recording is opened several times by one command; each of its warnings and notes is printed
+    once.
     """
 
     def __init__(self) -> None:
@@ -94,11 +96,12 @@ class _Lines(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         message = as_commands(record.getMessage())
-        if record.levelno >= logging.WARNING:
+        if record.levelno >= NOTE:
             if message in self.printed:
                 return
             self.printed.add(message)
-            err.print("warning:", style="yellow", end=" ")
+            word, style = ("note", "cyan") if record.levelno == NOTE else ("warning", "yellow")
+            err.print(f"{word}:", style=style, end=" ")
         say(message, to=err)
 
 
@@ -112,7 +115,7 @@ def set_volume(quiet: bool, verbose: bool) -> None:
     root = logging.getLogger()
     if _LINES not in root.handlers:
         root.addHandler(_LINES)
-    root.setLevel(logging.INFO if verbose else logging.WARNING)
+    root.setLevel(logging.WARNING if quiet else logging.INFO if verbose else NOTE)
 
 
 def print_any_path() -> None:
