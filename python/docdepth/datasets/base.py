@@ -7,7 +7,7 @@ Sweeps are read one at a time and not kept. They hold all rows of the file, unus
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -82,26 +82,6 @@ class Sweep(ShortRepr):
                 )
         if self.relative_time is not None:
             object.__setattr__(self, "relative_time", np.asarray(self.relative_time, np.float32))
-
-
-def without_ego(sweep: Sweep, boxes: Sequence[Sequence[float]]) -> Sweep:
-    """A sweep whose points within the boxes are no returns.
-
-    Rows stay, so that times, rings and labels keep theirs.
-
-    Parameters
-    ----------
-    sweep : Sweep
-    boxes : sequence of six numbers
-        Least and greatest x, y and z, metres in the LiDAR frame.
-    """
-    if not boxes:
-        return sweep
-    points = sweep.points.copy()
-    for box in boxes:
-        low, high = np.array(box, np.float32).reshape(3, 2).T
-        points[((sweep.points >= low) & (sweep.points <= high)).all(axis=1)] = np.nan
-    return replace(sweep, points=points)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -18,9 +18,9 @@ from docdepth.datasets.base import (
     ImageStream,
     LidarStream,
     Sweep,
-    without_ego,
 )
 from docdepth.datasets.cloud import Cloud, LidarReader
+from docdepth.datasets.ego_boxes import without_ego
 from docdepth.datasets.files import is_there, read_bytes
 from docdepth.datasets.point_times import (
     USUAL_PERIOD,
@@ -88,6 +88,8 @@ class Recording(DatasetRepr):
         Which instant of a sweep its time is, as the user says.
     masks : dict
         Of cameras, see :func:`~.settings.camera_mask`.
+    ego_boxes : list of list of float, optional
+        Around the vehicle itself; its points are left out. None where nothing is said.
     broken : list of DocDepthError
         Of sweeps that were tried when the recording was opened; others were taken in their place.
 
@@ -120,6 +122,7 @@ class Recording(DatasetRepr):
             )
         self.up, self.masks = self._settings.up, self._settings.camera_masks()
         self.stamp = self._settings.stamp
+        self.ego_boxes = self._settings.ego_boxes
         self.broken: list[DocDepthError] = []
         self._poses = poses
         self._take(lidars)
@@ -181,7 +184,7 @@ class Recording(DatasetRepr):
             self._settings.motion_compensated or False,
             joined_columns([part.cloud.ring for part in parts]),
         )
-        return without_ego(sweep, self._settings.ego_boxes)
+        return without_ego(sweep, self.ego_boxes or [])
 
     def _parts(self, index: int) -> list[Part]:
         """What each LiDAR has of sweep ``index``."""
@@ -194,7 +197,7 @@ class Recording(DatasetRepr):
         files = self._readers[0].files(index)
         for reader, partners in zip(self._readers[1:], self._partners, strict=True):
             files = files + (reader.files(int(partners[index])) if partners[index] >= 0 else [])
-        masks = [self._settings.file] if self._settings.ego_boxes else []
+        masks = [self._settings.file] if self.ego_boxes else []
         return list(dict.fromkeys(files + masks))
 
     def labels(self, index: int) -> NDArray[np.uint32] | None:

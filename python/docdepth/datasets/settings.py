@@ -113,9 +113,9 @@ class RecordingSettings(Strict):
 
     Attributes
     ----------
-    ego_boxes : list of [[x, x], [y, y], [z, z]]
+    ego_boxes : list of [[x, x], [y, y], [z, z]], optional
         Least and greatest coordinates of boxes, metres in the LiDAR frame, whose points are of the
-        vehicle itself and are left out.
+        vehicle itself and are left out. None: not said, so a run finds them.
     masks : dict of str to (str or list of (float, float))
         Pixels of a camera that get no depth, such as those of the own bonnet: see
         :func:`camera_mask`.
@@ -135,7 +135,7 @@ class RecordingSettings(Strict):
         a bag: odometry, poses, a path, or transforms.
     """
 
-    ego_boxes: Annotated[list[Numbers], BeforeValidator(_boxes)] = Field(default_factory=list)
+    ego_boxes: Annotated[list[Numbers] | None, BeforeValidator(_boxes)] = None
     masks: dict[str, str | list[tuple[float, float]]] = Field(default_factory=dict)
     motion_compensated: bool | None = None
     sensor_origin: tuple[float, float, float] | None = None
@@ -153,8 +153,8 @@ class RecordingSettings(Strict):
 
     @field_validator("ego_boxes")
     @classmethod
-    def _are_boxes(cls, boxes: list[list[float]]) -> list[list[float]]:
-        for box in boxes:
+    def _are_boxes(cls, boxes: list[list[float]] | None) -> list[list[float]] | None:
+        for box in boxes or ():
             low, high = np.array(box).reshape(3, 2).T if len(box) == 6 else (np.zeros(3),) * 2
             if not ((low < high) & (np.abs([low, high]) < _MOST_METRES).all(axis=0)).all():
                 raise ValueError(
