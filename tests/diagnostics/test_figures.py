@@ -15,7 +15,7 @@ from docdepth.diagnostics.lidar_figures import (
     spacing,
 )
 from docdepth.diagnostics.poses import Window, explain_misfit, pose_figures, share_on, windows_of
-from docdepth.diagnostics.sweep_figures import ego_body, row_shares
+from docdepth.diagnostics.sweep_figures import row_shares
 from docdepth.geometry.ground_plane import find_ground, level_turn
 from docdepth.geometry.se3 import inverse
 from walled_yard import pose, scan
@@ -138,28 +138,6 @@ def test_shares_of_rows() -> None:
     points[170:200] *= np.float32(0.3) / np.linalg.norm(points[170:200], axis=1, keepdims=True)
     found = row_shares(points)
     assert found == {"not_finite": 0.1, "at_origin": 0.05, "close": 0.03, "one_place": 0.02}
-
-
-def test_the_body_of_the_vehicle_is_what_stays() -> None:
-    ground = find_ground([_street()])
-    sweeps = [Recorded().sweep(k).points for k in range(6)]
-    assert ego_body(sweeps, ground) is None
-    hood = np.random.default_rng(4).uniform([1.5, -0.8, -0.9], [2.2, 0.8, -0.8], (60, 3))
-    found = ego_body([np.concatenate([s, hood.astype(np.float32)]) for s in sweeps], ground)
-    assert found is not None
-    assert found["points"] == 60
-    (box,) = found["boxes_m"]
-    np.testing.assert_allclose(box, [[1.5, 2.2], [-0.8, 0.8], [-0.9, -0.8]], atol=0.1)
-    assert not found["mirrored"]
-    assert all(((hood >= np.array(box)[:, 0]) & (hood <= np.array(box)[:, 1])).all(axis=1))
-    assert ego_body(sweeps, None) is None
-    mirrored = hood - [0, 0, 2 * ground.height - 1.4]  # as the hood reflects the mast
-    both = np.concatenate([hood, mirrored]).astype(np.float32)
-    found = ego_body([np.concatenate([s, both]) for s in sweeps], ground)
-    assert (found["points"], found["mirrored"], len(found["boxes_m"])) == (120, True, 2)
-    np.testing.assert_allclose(
-        found["boxes_m"][1][2], np.array([-0.9, -0.8]) - 2 * ground.height + 1.4, atol=0.1
-    )
 
 
 def test_sweeps_lie_on_each_other_by_their_motion() -> None:

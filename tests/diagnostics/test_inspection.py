@@ -304,7 +304,8 @@ def test_real_drives_have_no_warning(drive_0005: Path, drive_9001: Path) -> None
         assert result.figures["lidars"][0]["beams"] == 64
         assert result.figures["ground"]["tilt_deg"] < 2
         np.testing.assert_allclose(result.figures["ground"]["height_m"], 1.76, atol=0.05)
-        assert result.figures["ego"] is not None
+        # On drive 9001 the vehicle goes less than 10 m.
+        assert (result.figures["ego"] is not None) == (path == drive_0005)
 
 
 @pytest.mark.slow

@@ -86,9 +86,10 @@ def check_figures(recording: Dataset, result: Inspection) -> None:
         mirrored = " and its mirror images below the ground" if ego["mirrored"] else ""
         result.note(
             "own-vehicle",
-            f"{ego['points']} points a sweep stay with the LiDAR: its vehicle{mirrored}",
-            "to leave them out, say in docdepth.yaml (least and greatest x, y and z in metres) "
-            f"ego_boxes: {ego['boxes_m']}",
+            f"{ego['returns']} returns a sweep within {ego['reach']:g} m stay with the LiDAR: its "
+            f"vehicle{mirrored}",
+            "a run leaves them out; to choose yourself, say in docdepth.yaml (least and greatest "
+            f"x, y and z in metres) ego_boxes: {[list(map(list, box)) for box in ego['boxes']]}",
         )
 
 

@@ -7,6 +7,8 @@ sweeps takes seconds. What a run checks when it starts is checked by the same fu
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -18,9 +20,10 @@ from docdepth.diagnostics import recording_checks
 from docdepth.diagnostics.cameras import check_camera
 from docdepth.diagnostics.inspection import Inspection
 from docdepth.diagnostics.lidar_figures import lidar_figures
+from docdepth.diagnostics.own_vehicle import find_own_vehicle
 from docdepth.diagnostics.poses import Window, pose_figures, share_on, windows_of
 from docdepth.diagnostics.rotation import find_rotation, is_lone_lidar, lacks_times
-from docdepth.diagnostics.sweep_figures import ego_body, row_shares, time_figures
+from docdepth.diagnostics.sweep_figures import row_shares, time_figures
 from docdepth.diagnostics.sweeps import check_sweeps, find_lonely_returns, find_sensor_origin
 from docdepth.errors import DocDepthError, Finding, collected, in_order
 from docdepth.geometry.ground_plane import find_ground
@@ -36,7 +39,6 @@ from docdepth.odometry.pose_checks import (
 )
 
 _WINDOW = 6  # sweeps that are registered with each other
-_LEAST_TRAVEL = 5.0  # metres; on a shorter drive the traffic beside the vehicle stays with it, too
 _BETTER = 1.1  # times the share of points on each other, by registration against given poses
 _PARAMETERS = Parameters()
 
@@ -170,12 +172,11 @@ def _look_at_poses(recording: Dataset, result: Inspection, source: str) -> None:
                     )
         result.findings += found
     figures["ego"] = None
-    fastest = max((window.step for window in result.windows), default=0.0)
-    travelled = fastest * len(recording) > _LEAST_TRAVEL
-    if fastest > recording_checks.MOVING and travelled and result.sweeps:
-        figures["ego"] = ego_body([s.points for s in result.sweeps.values()], result.ground)
     if not result.sweeps:
         return
+    with suppress(DocDepthError):  # of a broken sweep, which is told already
+        vehicle = find_own_vehicle(recording)
+        figures["ego"] = None if vehicle is None else asdict(vehicle)
     viewpoint, found = find_sensor_origin(recording)
     result.findings += found
     if viewpoint is None:

@@ -16,6 +16,9 @@ OWN_POSES = "dataset"
 """``poses`` that means those of the recording."""
 
 Point = tuple[float, float, float]
+Interval = tuple[float, float]
+Box = tuple[Interval, Interval, Interval]
+"""Least and greatest x, y and z, metres in the LiDAR frame."""
 
 
 class Checked(BaseModel):

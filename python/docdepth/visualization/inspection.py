@@ -234,7 +234,7 @@ def _poses(poses: Figures | None, registered: list[Figures]) -> Iterator[str]:
 
 def _ego(ego: Figures) -> Iterator[str]:
     mirrored = ", and its mirror image below the ground" if ego["mirrored"] else ""
-    yield f"{ego['points']} points a sweep stay with the LiDAR while it moves{mirrored}"
+    yield f"{ego['returns']} returns a sweep stay with the LiDAR while it moves{mirrored}"
 
 
 def _camera(camera: Figures) -> Iterator[str]:
