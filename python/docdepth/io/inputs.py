@@ -96,6 +96,11 @@ class RunInputs(Checked):
         "taken in place of the recording's own calibration.",
         "FILE",
     )
+    keep_ego: bool = Field(
+        False,
+        description="Keep what the LiDAR sees of its own vehicle. Else a run finds it, where "
+        "ego_boxes in docdepth.yaml does not say where it is, and leaves it out.",
+    )
     labels: _Path | None = _field(
         "Draw with the classes of another method: a folder of NAME.label (SemanticKITTI), "
         "NAME.npy (classid) or NAME.pcd for each sweep, or a run. Nothing is classified then.",
@@ -220,11 +225,15 @@ class DerivedInputs(Checked):
         Where the rays begin, metres in the LiDAR frame; None if at the origin.
     turn : Turn, optional
         How the LiDAR turns, which gives times to points that have none.
+    ego_boxes : tuple of ((x, x), (y, y), (z, z)), optional
+        Around what the LiDAR sees of its own vehicle, metres in the LiDAR frame of the recording;
+        None if it was not found.
     skipped : SkippedFrames, optional
         None if broken frames stop the run.
     """
 
     up: Point | None = None
+    ego_boxes: tuple[Box, ...] | None = None
     sensor_origin: Point | tuple[Point, ...] | None = None
     turn: Turn | None = None
     skipped: SkippedFrames | None = None

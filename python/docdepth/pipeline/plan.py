@@ -44,7 +44,8 @@ def odometry_stage(
     if recording is None:
         inputs, count = {**run.stage_inputs("odometry"), **own}, run.stage("odometry").all_frames
     else:
-        first, up, count = first or recording.sweep(0), run.manifest.derived.up, len(recording)
+        first, derived, count = first or recording.sweep(0), run.manifest.derived, len(recording)
+        up, boxes = derived.up, derived.ego_boxes
         rig = first.sensor_rig
         inputs = own | {
             "sweeps": input_files.sweeps(recording),
@@ -57,12 +58,14 @@ def odometry_stage(
                 *([up] if up else []),
             ),
         }
+        inputs |= {"ego_boxes": stage_key(boxes)} if boxes else {}
     has_sensors = first is not None and first.sensor_rig is not None
     if recording is None:
         has_sensors = run.sensors_path.name in run.records(run.path)
     changed = input_files.changed("sweeps")
     sweeps = f"sweeps have changed, {changed[0]} first" if changed else "sweeps have changed"
-    others = {name: f"the {name} of the input have changed" for name in ("times", "poses", "rays")}
+    names = "times", "poses", "rays", "ego_boxes"
+    others = {name: f"the {name} of the input have changed" for name in names}
     return Stage(
         run,
         "odometry",

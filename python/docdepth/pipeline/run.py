@@ -87,7 +87,8 @@ def run(
     begun = RunFolder(place).manifest
     inputs = _as_begun(inputs, begun.inputs)
     with _all_problems(inputs, values, place):
-        opened = open_inputs(inputs, begun.derived if begun.inputs is not None else None)
+        known, before = (None, inputs) if begun.inputs is None else (begun.derived, begun.inputs)
+        opened = open_inputs(inputs, known, before.keep_ego)
         if execution.memory is not None:
             recording, cameras, jobs = opened.recording, opened.cameras, execution.jobs
             within = within_memory(execution.memory, recording, cameras, values, jobs)

@@ -19,6 +19,8 @@ from docdepth.datasets import (
     image_streams,
     open_dataset,
 )
+from docdepth.datasets.base import View
+from docdepth.datasets.ego_boxes import WithoutEgo
 from docdepth.datasets.formats.docdepth_run import RunDataset
 from docdepth.datasets.images import read_image_of
 from docdepth.datasets.point_times import Instant
@@ -27,13 +29,14 @@ from docdepth.datasets.settings import camera_mask
 from docdepth.datasets.times import read_times
 from docdepth.datasets.turning_lidar import TurningLidar
 from docdepth.datasets.up_axis import LEVEL_DEG, LevelledRecording, ground_of
+from docdepth.diagnostics.own_vehicle import find_own_vehicle
 from docdepth.diagnostics.rotation import find_rotation, lacks_times
 from docdepth.diagnostics.sweeps import find_sensor_origin
-from docdepth.errors import CalibrationError, DatasetError, log_findings
+from docdepth.errors import CalibrationError, DatasetError, Finding, log_findings
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.turn import Turn
 from docdepth.io.calibration import read_camera_calibration
-from docdepth.io.inputs import DerivedInputs, Point, RunInputs, SkippedFrames
+from docdepth.io.inputs import Box, DerivedInputs, Point, RunInputs, SkippedFrames
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.broken_frames import find_broken, kept_part
 from docdepth.pipeline.given_poses import read_given_poses
@@ -64,7 +67,9 @@ class OpenedInputs:
     derived: DerivedInputs
 
 
-def open_inputs(inputs: RunInputs, begun: DerivedInputs | None = None) -> OpenedInputs:
+def open_inputs(
+    inputs: RunInputs, begun: DerivedInputs | None = None, kept_ego: bool = False
+) -> OpenedInputs:
     """Open the recording, and the cameras whose depth maps are wanted.
 
     Parameters
@@ -73,6 +78,8 @@ def open_inputs(inputs: RunInputs, begun: DerivedInputs | None = None) -> Opened
     begun : DerivedInputs, optional
         Of a run that goes on: what was found when it began holds for good, unless the recording
         itself tells another. What is broken holds as long as the files are the same.
+    kept_ego : bool
+        That run did not look for its own vehicle.
 
     Raises
     ------
@@ -81,6 +88,10 @@ def open_inputs(inputs: RunInputs, begun: DerivedInputs | None = None) -> Opened
     """
     whole = _open_whole(inputs)
     derived = DerivedInputs(skipped=_find_skipped(inputs, whole, begun))
+    if not inputs.keep_ego:
+        known = None if kept_ego else begun
+        boxes = find_ego_boxes(_part(whole, inputs, derived), known)
+        derived = derived.model_copy(update={"ego_boxes": boxes})
     origin = find_ray_origin(_part(whole, inputs, derived), begun)
     derived = derived.model_copy(update={"sensor_origin": origin})
     up = find_up(_part(whole, inputs, derived), begun)
@@ -136,12 +147,48 @@ def _find_skipped(
 
 
 def _part(recording: Dataset, inputs: RunInputs, derived: DerivedInputs) -> Dataset:
-    """The sweeps of a recording that the run is of, in a frame whose z is up."""
+    """The sweeps of a recording that the run is of, without its vehicle, and with z up."""
+    if derived.ego_boxes:
+        recording = WithoutEgo(recording, derived.ego_boxes)
     if derived.up or derived.sensor_origin:
         recording = LevelledRecording(recording, derived.up, derived.sensor_origin)
     if derived.turn:
         recording = TurningLidar(recording, derived.turn)
     return kept_part(recording, inputs.frames, derived.skipped)
+
+
+def find_ego_boxes(
+    recording: Dataset, begun: DerivedInputs | None = None
+) -> tuple[Box, ...] | None:
+    """Boxes around what the LiDAR sees of its own vehicle, unless the recording tells them.
+
+    The arguments are those of :func:`find_up`.
+    """
+    if recording.name == "run" or getattr(_as_recorded(recording), "ego_boxes", None) is not None:
+        return None
+    if begun:
+        return begun.ego_boxes
+    vehicle = find_own_vehicle(recording)
+    if vehicle is None:
+        return None
+    mirrored = " and its mirror images" if vehicle.mirrored else ""
+    found = Finding(
+        "own-vehicle",
+        str(recording.path),
+        f"{vehicle.returns} returns a sweep within {vehicle.reach:g} m stay with the LiDAR while "
+        f"it moves: the own vehicle{mirrored}. They are left out; run.yaml keeps their ego_boxes",
+        "`keep_ego=True` keeps these returns, and ego_boxes in docdepth.yaml takes other boxes",
+        "note",
+    )
+    log_findings(log, [found])
+    return vehicle.boxes
+
+
+def _as_recorded(recording: Dataset) -> Dataset:
+    """The recording itself, which knows what docdepth.yaml says of it."""
+    while isinstance(recording, View):
+        recording = recording.whole
+    return recording
 
 
 def find_ray_origin(
@@ -178,8 +225,7 @@ def find_up(recording: Dataset, begun: DerivedInputs | None = None) -> Point | N
     (float, float, float), or None
         Unit vector; None if z is up, or if it is not known.
     """
-    whole = full_recording(recording)
-    told = getattr(whole, "up", None)
+    told = getattr(_as_recorded(recording), "up", None)
     if told is not None:
         up = np.array(told, np.float64) / np.linalg.norm(told)
         return None if (up == (0, 0, 1)).all() else _point(up)
@@ -312,7 +358,7 @@ def _with_masks(
     CalibrationError
         A mask is of a camera that is not there, or has another size than it.
     """
-    masks = dict(getattr(recording, "masks", {}))
+    masks = dict(getattr(_as_recorded(recording), "masks", {}))
     for named in inputs.mask or ():
         camera, _, file = named.partition(":")
         masks[camera] = Path(file)
