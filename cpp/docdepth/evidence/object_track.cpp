@@ -72,6 +72,10 @@ bool is_rail(const ObjectTrack& object) {
   return is_thin(object.path) && !is_side_of_vehicle(object);
 }
 
+bool is_low_rail(const ObjectTrack& object) {
+  return is_rail(object) && object.path.extent().size().z() < kMinVehicleHeight;
+}
+
 bool is_vehicle(const TrackPath& path) {
   const Eigen::Vector3f size = path.extent().size();
   return path.is_rigid() && size.head<2>().minCoeff() >= kMinVehicleWidth &&

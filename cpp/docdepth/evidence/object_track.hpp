@@ -30,6 +30,9 @@ bool is_rear_of_vehicle(const TrackPath& path);
 /// rail goes along with us, or with a car that hides the rest; or it is the side of a car.
 bool is_rail(const ObjectTrack& object);
 
+/// Whether it is a rail that is lower than any side of a car: no road user at all.
+bool is_low_rail(const ObjectTrack& object);
+
 /// Whether the object moves at some time: by its path, or as it was not there before or after.
 bool moves(const ObjectTrack& object, const std::vector<double>& times,
            const TrackingOptions& options);

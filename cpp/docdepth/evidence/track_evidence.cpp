@@ -39,6 +39,7 @@ TrackEvidence::TrackEvidence(ObjectTrack object, std::uint32_t number,
       number_(number),
       options_(options),
       sweeps_(int(times.size())),
+      is_rail_(is_rail(object_)),
       is_vehicle_((is_vehicle(object_.path) && object_.path.is_wide_while_transient()) ||
                   is_side_of_vehicle(object_)) {
   const auto& observations = object_.track.observations;
@@ -75,7 +76,7 @@ bool TrackEvidence::covers(double time) const {
 }
 
 std::optional<Extent> TrackEvidence::reach(double time) const {
-  if (!is_known_) return std::nullopt;
+  if (is_rail_ || !is_known_) return std::nullopt;
   const double known = std::clamp(time, first_.time, last_.time);
   return object_.path.box(known).extent(kSearchMargin + kRoundingMargin);
 }
@@ -96,6 +97,7 @@ bool TrackEvidence::is_seen_to_move() const {
 
 bool TrackEvidence::makes_dynamic(double time, const Detection& object, bool is_member,
                                   const std::vector<TrackedSweep>& tracked) {
+  if (is_rail_) return false;
   if (object.dynamic_points == object.points || object.box.width() < kMinTrackedWidth) return false;
   if (object.area - object.dynamic_area > supported_) return false;
   if (!is_known_) return is_member && object.was_free();

@@ -74,9 +74,10 @@ class TrackEvidence {
   TrackingOptions options_;
   std::vector<double> stamps_;  ///< of the sweep of each observation [s]
   int sweeps_;                  ///< of the drive
-  bool is_vehicle_;             ///< or only the side of one is seen
-  bool seen_to_move_;           ///< while the votes called it dynamic
-  float supported_ = 0;         ///< area of static points that the track can make dynamic
+  bool is_rail_;
+  bool is_vehicle_;      ///< or only the side of one is seen
+  bool seen_to_move_;    ///< while the votes called it dynamic
+  float supported_ = 0;  ///< area of static points that the track can make dynamic
   bool is_known_ = false;
   KnownPlace first_, last_;  ///< if its place is known at all
   std::deque<Occupancy> occupancies_;

@@ -283,7 +283,8 @@ class SweepTracker {
     std::vector<Boxes> boxes(evidence_.size());
     parallel_for(evidence_.size(), 1, threads, [&](std::size_t k, std::size_t) {
       const TrackEvidence& evidence = evidence_[k];
-      if (window_ > 0) boxes[k] = boxes_of(evidence.object(), evidence.number(), times_);
+      if (window_ > 0 && !is_rail(evidence.object()))
+        boxes[k] = boxes_of(evidence.object(), evidence.number(), times_);
       reach_[k] = reach_of(evidence, times_);
     });
     for (const Boxes& of : boxes)
@@ -404,7 +405,7 @@ std::vector<TrackedObject> track_objects(const ReadDetections& read,
     add_moving(merge_fragments(objects, times, options), part(0.85, 0.9));
   }
   // They were followed only since they may be fragments of vehicles.
-  objects.erase(std::remove_if(objects.begin(), objects.end(), is_rail), objects.end());
+  objects.erase(std::remove_if(objects.begin(), objects.end(), is_low_rail), objects.end());
   std::stable_sort(objects.begin(), objects.end(), [](const auto& a, const auto& b) {
     return a.track.observations.size() > b.track.observations.size();
   });
