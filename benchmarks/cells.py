@@ -35,7 +35,7 @@ from docdepth.synthetic import Drive, scene, sensor, sensors, write_drive
 FRAMES = {"crossing": 100, "city": 125, "hills": 80, "residential": 90, "highway": 70}
 # Drives of a suite if none are named: those of the published tables.
 SUITE = tuple(FRAMES)
-FRAMES |= {"arrivals": 150, "overtaking": 90, "queue": 140}
+FRAMES |= {"arrivals": 150, "overtaking": 90, "queue": 140, "fences": 80, "still_fences": 80}
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ kinds of actors. ``endless`` holds a drive of any length, which is made while it
 
 from docdepth.synthetic import SCENES
 from docdepth.synthetic.street import KINDS
+from scenes.fences import fences, still_fences
 from scenes.large_vehicles import LARGE_VEHICLES
 from scenes.residential import residential
 from scenes.rural import highway, hills
@@ -13,5 +14,17 @@ from scenes.traffic import arrivals, overtaking, queue
 
 KINDS.update(LARGE_VEHICLES)
 SCENES.update(
-    {scene.__name__: scene for scene in (residential, hills, highway, arrivals, overtaking, queue)}
+    {
+        scene.__name__: scene
+        for scene in (
+            residential,
+            hills,
+            highway,
+            arrivals,
+            overtaking,
+            queue,
+            fences,
+            still_fences,
+        )
+    }
 )
