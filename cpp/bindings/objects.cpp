@@ -152,13 +152,15 @@ py::array_t<std::uint8_t> classified(const Array<float>& points, const Array<boo
                                      const Array<std::uint32_t>& objects,
                                      const Array<std::uint16_t>& static_votes,
                                      const Array<std::uint16_t>& dynamic_votes,
-                                     const ScanMesh& mesh, const ClassificationOptions& options) {
+                                     const Array<bool>& occupied_once, const ScanMesh& mesh,
+                                     const ClassificationOptions& options) {
   const VotedSweep sweep(points, ground, static_votes, dynamic_votes);
   check_mesh(mesh, sweep.points.rows());
   const std::uint32_t* first = as_object_column(objects, sweep.points.rows());
+  const bool* once = as_flags(occupied_once, sweep.points.rows(), "occupied_once");
   return to_numpy(without_gil([&] {
     return classify_objects(sweep.points, sweep.ground, first, sweep.static_votes,
-                            sweep.dynamic_votes, mesh, options);
+                            sweep.dynamic_votes, once, mesh, options);
   }));
 }
 
@@ -378,6 +380,7 @@ void bind_options(py::module_& m) {
       .def_readwrite("min_object_width", &Options::min_object_width)
       .def_readwrite("min_object_height", &Options::min_object_height)
       .def_readwrite("observed_free_share", &Options::observed_free_share)
+      .def_readwrite("occupied_once_share", &Options::occupied_once_share)
       .def_readwrite("observed_free_votes", &Options::observed_free_votes)
       .def_readwrite("max_static_ratio", &Options::max_static_ratio)
       .def_readwrite("isolated_votes", &Options::isolated_votes);
@@ -391,7 +394,7 @@ void bind_objects(py::module_& m) {
   bind_options(m);
   m.def("cluster_objects", &objects_of, "points"_a, "ground"_a, "mesh"_a);
   m.def("classify_objects", &classified, "points"_a, "ground"_a, "objects"_a, "static_votes"_a,
-        "dynamic_votes"_a, "mesh"_a, "options"_a = ClassificationOptions());
+        "dynamic_votes"_a, "occupied_once"_a, "mesh"_a, "options"_a = ClassificationOptions());
   m.def("add_isolated_points", &with_isolated, "points"_a, "ground"_a, "objects"_a,
         "static_votes"_a, "dynamic_votes"_a, "dynamic"_a);
   m.def("add_points_inside", &with_inside, "points"_a, "ground"_a, "static_votes"_a,

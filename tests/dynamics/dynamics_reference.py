@@ -18,7 +18,7 @@ OBJECTS = {
     "cluster_distance": 0.3, "cluster_distance_growth": 0.05, "min_cluster_size": 6,
     "neighbor_radius": 1.0, "clear_votes": 2, "clear_ratio": 4, "min_object_points": 10,
     "dynamic_share": 0.5, "min_dynamic_share": 0.1, "min_object_width": 1.5,
-    "min_object_height": 0.3, "observed_free_share": 0.6, "observed_free_votes": 2,
+    "min_object_height": 0.3, "observed_free_share": 0.6, "occupied_once_share": 1 / 3, "observed_free_votes": 2,
     "max_static_ratio": 8, "isolated_votes": 2,
 }  # fmt: skip
 
@@ -209,7 +209,7 @@ def nearest_corner(sweep, mesh, columns, triangle, row, column):
     return np.float32(2 * np.pi / columns / 8) * np.minimum(steps, 63).astype(np.float32)
 
 
-def reference_moving(points, ground, static, dynamic, **others):
+def reference_moving(points, ground, static, dynamic, once, **others):
     """Evidence shared within connected objects, with scipy's graphs and all distances."""
     p = SimpleNamespace(**OBJECTS | others)
     static, dynamic = static.astype(int), dynamic.astype(int)
@@ -237,6 +237,8 @@ def reference_moving(points, ground, static, dynamic, **others):
     goes = found >= np.float32(p.dynamic_share) * voted
     goes &= found >= np.float32(p.min_dynamic_share) * size
     left = np.bincount(label, free) >= (np.float32(p.observed_free_share) * size.astype(np.float32))
+    freed = np.bincount(label, free)
+    left &= np.bincount(label, free & once) >= np.float32(p.occupied_once_share) * freed
     for k in np.flatnonzero((goes | left) & (size >= p.min_object_points)):
         members = np.flatnonzero((label == k) & ~ground)
         x, y, z = np.ptp(points[members], axis=0) if len(members) else (0, 0, 0)

@@ -1,5 +1,7 @@
 """Classes from votes, against an independent numpy implementation and exact scenes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from dynamics_reference import reference_moving
@@ -9,7 +11,7 @@ from docdepth.config import parameters
 from docdepth.dynamics import voting
 from docdepth.dynamics.classes import classify, confidence
 from docdepth.dynamics.classifier import classify_drive
-from docdepth.dynamics.voting import Votes
+from docdepth.dynamics.voting import NEVER, OccupancyIntervals, Votes
 from docdepth.errors import InputError
 
 PAPER, DEFAULT = parameters("paper"), parameters("default")
@@ -93,7 +95,16 @@ def random_votes(points, seed, patches=40):
     patch = np.linalg.norm(points[:, None] - centres, axis=2).argmin(axis=1)
     static = rng.poisson(rng.choice([0, 0.3, 2, 8], patches)[patch])
     dynamic = rng.poisson(rng.choice([0, 0.3, 2, 8], patches)[patch])
-    return Votes(static.astype(np.uint16), dynamic.astype(np.uint16))
+    once = (rng.random(len(points)) < rng.choice([0.1, 0.3, 0.4, 0.9], patches)[patch]) & (
+        dynamic > 0
+    )
+    return in_order(Votes(static.astype(np.uint16), dynamic.astype(np.uint16)), once)
+
+
+def in_order(votes, once):
+    """Votes that tell which places were occupied in one stretch of time."""
+    ends = np.full(len(once), NEVER, np.uint16)
+    return replace(votes, occupancy=OccupancyIntervals(once, ends, ends))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -103,7 +114,9 @@ def test_shared_evidence_equals_the_reference(yard, seed):
     rows = np.sort(rng.permutation(len(sweeps[seed]))[:15_000])
     points, ground = sweeps[seed][rows], what[seed][rows] == 0
     votes = random_votes(points, seed)
-    expected = reference_moving(points, ground, votes.static, votes.dynamic)
+    expected = reference_moving(
+        points, ground, votes.static, votes.dynamic, votes.occupancy.occupied_once
+    )
     assert 0.05 < expected.mean() < 0.95
     found = classify(ground, votes, DEFAULT.dynamics, points)
     np.testing.assert_array_equal(found == 100, expected)
@@ -125,8 +138,14 @@ def test_an_object_is_dynamic_as_a_whole_and_isolated_points_are_not(yard):
     # It stands for most of the drive, and two thirds of its place were seen free by two key frames.
     votes.static[box], votes.dynamic[box] = 7, 2
     votes.dynamic[box[::3]] = 0
-    assert (classify(ground, votes, DEFAULT.dynamics, points)[box] == 100).all()
-    assert (classify(ground, votes, BY_POINTS, points)[box] == 50).all()
+    left = in_order(votes, votes.dynamic > 0)
+    assert (classify(ground, left, DEFAULT.dynamics, points)[box] == 100).all()
+    assert (classify(ground, left, BY_POINTS, points)[box] == 50).all()
+    # Places that were found free and occupied in turn are porous; so may be all, as far as votes
+    # without their order tell.
+    few = left.occupancy.occupied_once & (np.arange(len(points)) % 4 == 0)
+    for porous in (in_order(votes, few), votes):
+        assert (classify(ground, porous, DEFAULT.dynamics, points)[box] == 50).all()
 
 
 def test_points_without_votes_do_not_count_against_their_object(yard, monkeypatch):
@@ -178,7 +197,8 @@ def test_a_flat_object_that_was_observed_free_at_times_is_static():
         votes = Votes(*np.full((2, len(points)), 3, np.uint16))
         votes.static[:] = 9
         ground = np.zeros(len(points), bool)
-        assert set(classify(ground, votes, DEFAULT.dynamics, points)) == {classid}
+        left = in_order(votes, votes.dynamic > 0)
+        assert set(classify(ground, left, DEFAULT.dynamics, points)) == {classid}
 
 
 def test_ties_and_unseen_points_are_static():

@@ -11,7 +11,7 @@ from docdepth.datasets.base import Sweep
 from docdepth.dynamics import key_frames
 from docdepth.dynamics.classes import classify, cluster_objects
 from docdepth.dynamics.classifier import classify_drive
-from docdepth.dynamics.voting import Votes
+from docdepth.dynamics.voting import OccupancyIntervals, Votes
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.ground.growing import grow_ground
@@ -199,6 +199,8 @@ def test_a_fence_was_not_free_though_key_frames_look_through_it():
         points, ground = _before_a_wall(met)
         votes = Votes(*np.zeros((2, met.size), np.uint16))
         votes.static[met.ravel()], votes.dynamic[met.ravel()] = 10, 2
+        once, ends = votes.dynamic > 0, np.zeros(met.size, np.uint16)
+        votes = replace(votes, occupancy=OccupancyIntervals(once, ends, ends))
         largest = np.bincount(cluster_objects(points, ground)[met.ravel()]).max()
         assert largest > 100
         assert (classify(ground, votes, DEFAULT, points)[met.ravel()] == 100).all() == moves

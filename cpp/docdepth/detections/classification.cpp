@@ -57,7 +57,7 @@ struct Evidence {
 };
 
 struct Object {
-  int points = 0, voted = 0, dynamic = 0, observed_free = 0;
+  int points = 0, voted = 0, dynamic = 0, observed_free = 0, occupied_once = 0;
   bool has_isolated = false;
   float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
 
@@ -67,15 +67,18 @@ struct Object {
            found >= options.dynamic_share * static_cast<float>(voted) &&
            found >= options.min_dynamic_share * static_cast<float>(points);
   }
-  /// Whether it is dynamic but stands for a while. Objects with isolated returns are left out: rays
-  /// pass through twigs and fences, so that these are observed free now and then.
+  /// Whether it is dynamic but stands for a while: much of its place was free, and occupied in one
+  /// stretch of time. Rays pass through twigs and fences, so that these are found free and occupied
+  /// in turn; objects with isolated returns are left out, too.
   bool stands(const ClassificationOptions& options) const {
     const float x = high[0] - low[0], y = high[1] - low[1];
     return points >= options.min_object_points && !has_isolated &&
            high[2] - low[2] >= options.min_object_height &&
            x * x + y * y >= options.min_object_width * options.min_object_width &&
            static_cast<float>(observed_free) >=
-               options.observed_free_share * static_cast<float>(points);
+               options.observed_free_share * static_cast<float>(points) &&
+           static_cast<float>(occupied_once) >=
+               options.occupied_once_share * static_cast<float>(observed_free);
   }
 };
 
@@ -144,7 +147,7 @@ Flags confirmed_points(const Points& points, const bool* ground, const ScanMesh&
 
 /// Add all points of dynamic objects, except those of static things that are connected to them.
 void add_objects(const Points& points, const bool* ground, const std::uint32_t* first,
-                 const ScanMesh& mesh, const Evidence& evidence,
+                 const bool* occupied_once, const ScanMesh& mesh, const Evidence& evidence,
                  const ClassificationOptions& options, Flags& dynamic) {
   const std::size_t count = dynamic.size();
   ByObject<Object> objects(count);
@@ -155,6 +158,7 @@ void add_objects(const Points& points, const bool* ground, const std::uint32_t* 
     object.voted += evidence.voted[i];
     object.dynamic += evidence.dynamic[i];
     object.observed_free += evidence.observed_free[i];
+    object.occupied_once += evidence.observed_free[i] && occupied_once[i];
     for (int axis = 0; axis < 3; ++axis) {
       object.low[axis] = std::min(object.low[axis], points(i, axis));
       object.high[axis] = std::max(object.high[axis], points(i, axis));
@@ -175,13 +179,14 @@ void add_objects(const Points& points, const bool* ground, const std::uint32_t* 
 std::vector<std::uint8_t> classify_objects(const Points& points, const bool* ground,
                                            const std::uint32_t* objects,
                                            const std::uint16_t* static_votes,
-                                           const std::uint16_t* dynamic_votes, const ScanMesh& mesh,
+                                           const std::uint16_t* dynamic_votes,
+                                           const bool* occupied_once, const ScanMesh& mesh,
                                            const ClassificationOptions& options) {
   const auto count = static_cast<std::size_t>(points.rows());
   const Evidence evidence(count, static_votes, dynamic_votes, options);
   if (!evidence.any) return evidence.dynamic;
   Flags dynamic = confirmed_points(points, ground, mesh, evidence.dynamic, options);
-  add_objects(points, ground, objects, mesh, evidence, options, dynamic);
+  add_objects(points, ground, objects, occupied_once, mesh, evidence, options, dynamic);
 
   const MarkedPoints confirmed(points, dynamic, options.neighbor_radius);
   for (std::uint32_t i = 0; i < count; ++i) {

@@ -40,6 +40,8 @@ struct ClassificationOptions {
   float min_object_height = 0.3f;
   /// and this share of their points was observed free:
   float observed_free_share = 0.6f;
+  /// of which this share was occupied in one stretch of time,
+  float occupied_once_share = 1 / 3.0f;
   /// by at least this many key frames,
   int observed_free_votes = 2;
   /// and by one to less than this many that observed it occupied. With more a point is always
@@ -60,12 +62,13 @@ struct ClassificationOptions {
 /// free, which hardly ever happens to static objects: only thin ones collect dynamic votes, of rays
 /// that pass beside them.
 ///
-/// @param ground, static_votes, dynamic_votes  one value per point
+/// @param ground, static_votes, dynamic_votes, occupied_once  one value per point (Votes)
 /// @param objects  row of the first point of each point's object (cluster_objects)
 std::vector<std::uint8_t> classify_objects(const Points& points, const bool* ground,
                                            const std::uint32_t* objects,
                                            const std::uint16_t* static_votes,
-                                           const std::uint16_t* dynamic_votes, const ScanMesh& mesh,
+                                           const std::uint16_t* dynamic_votes,
+                                           const bool* occupied_once, const ScanMesh& mesh,
                                            const ClassificationOptions& options = {});
 
 /// Add isolated points inside the box of a dynamic object, unless many more of their votes are

@@ -9,6 +9,10 @@ namespace {
 
 /// Share of min_distance that a track goes while votes call it dynamic.
 constexpr float kMinVotedDistanceShare = 0.3f;
+/// While it moves, this share of what is seen of it is transient, and this share was free before or
+/// after: little, since in a queue others occupied the same places.
+constexpr float kMovingTransientShare = 1 / 3.0f;
+constexpr float kMovingFreeShare = 0.05f;
 /// An object that is never seen to move stands where for so long [s] this share of it was free, in
 /// the mean.
 constexpr double kFreeWindow = 2;
@@ -49,6 +53,20 @@ bool sways(const TrackPath& path) {
   return size.z() > kMaxVehicleHeight && path.distance() < size.head<2>().maxCoeff();
 }
 
+/// Whether votes bear out that it moves: while it does, enough of it is there for a while only. A
+/// fence of which each sweep hits other slats seems to go along, and its slats were occupied before
+/// and after.
+bool is_transient_while_moving(const ObjectTrack& object, const std::vector<double>& times) {
+  float area = 0, transient_area = 0, free_area = 0;
+  for (const TrackObservation& seen : object.track.observations) {
+    if (object.path.speed(times[seen.sweep]) < kStanding) continue;
+    area += seen.area;
+    transient_area += seen.transient_area;
+    free_area += seen.free_area;
+  }
+  return transient_area >= kMovingTransientShare * area && free_area >= kMovingFreeShare * area;
+}
+
 bool is_thin(const TrackPath& path) {
   const Eigen::Vector3f size = path.extent().size();
   return path.is_rigid() && size.x() >= kMinRailLength && size.y() < kMinVehicleWidth;
@@ -87,7 +105,8 @@ bool moves(const ObjectTrack& object, const std::vector<double>& times,
   const auto& [track, path] = object;
   if (track.transient_count < options.min_detections || sways(path)) return false;
   if (path.distance() >= options.min_distance &&
-      path.transient_distance() >= kMinVotedDistanceShare * options.min_distance)
+      path.transient_distance() >= kMinVotedDistanceShare * options.min_distance &&
+      is_transient_while_moving(object, times))
     return true;
   return is_vehicle(path) && appears(track.observations, times, options.min_detections);
 }

@@ -79,7 +79,8 @@ def classify(
     Ties and points without a vote are static. With ``points``, and unless ``evidence`` is
     ``"points"``, votes are shared within objects: dynamic points without dynamic neighbours become
     static. An object is dynamic as a whole when most of its points are; also when it stood for a
-    while, and enough of its points were observed free at another time.
+    while, and enough of its points were observed free before or after. Votes without their order
+    (``votes.occupancy``) do not find what stood.
 
     Parameters
     ----------
@@ -103,8 +104,9 @@ def classify(
         mesh = mesh or ScanMesh(points)
         if objects is None:
             objects = cluster_objects(points, ground, mesh)
+        once = votes.occupancy.occupied_once if votes.occupancy else np.zeros(len(points), bool)
         dynamic = _core.classify_objects(
-            points, ground, objects, votes.static, votes.dynamic, mesh.core
+            points, ground, objects, votes.static, votes.dynamic, once, mesh.core
         ).view(np.bool_)
     else:
         dynamic = votes.dynamic > votes.static

@@ -22,6 +22,7 @@ from docdepth.dynamics.tracking import (
     label_by_tracks,
     local_poses,
     track_objects,
+    withdraw_untracked,
 )
 from docdepth.dynamics.voting import KeyFrame, Votes
 from docdepth.geometry.lidar_frame import LidarFrame
@@ -42,10 +43,13 @@ class Evidence(NamedTuple):
     labels : Labels
     objects : ndarray of uint32, shape (N,)
         From :func:`docdepth.dynamics.classes.cluster_objects`.
+    occupied_once : ndarray of bool, shape (N,)
+        Of :class:`docdepth.dynamics.voting.OccupancyIntervals`.
     """
 
     labels: Labels
     objects: NDArray[np.uint32]
+    occupied_once: NDArray[np.bool_]
 
 
 class SweepStore(Protocol):
@@ -205,19 +209,21 @@ class SweepClassifier:
         with self._timer("objects"):
             objects = cluster_objects(points, ground, mesh)
             classid = classify(ground, votes, self._parameters, points, mesh, objects)
+        occupancy = votes.occupancy_by_sweep(voters, index)
         with self._timer("detections"):
             detections = _core.Detections(
                 points,
                 ground,
                 objects,
                 classid >= DYNAMIC,
-                *votes.occupancy_by_sweep(voters, index),
+                *occupancy,
                 mesh.core,
                 self._local_poses[index],
                 frame.time_offset,
             )
         kept = Labels(classid, Votes(votes.static, votes.dynamic))
-        return writers.submit(store.store_evidence, index, Evidence(kept, objects), detections)
+        evidence = Evidence(kept, objects, occupancy.occupied_once)
+        return writers.submit(store.store_evidence, index, evidence, detections)
 
     def track(
         self,
@@ -249,7 +255,7 @@ class SweepClassifier:
         def add(index: int) -> None:
             # The sweep is read once more, since tracks are known when all sweeps have voted and a
             # drive may not fit into memory.
-            frame, (labels, objects) = store.read(index), store.evidence(index)
+            frame, (labels, objects, occupied_once) = store.read(index), store.evidence(index)
             found, votes = tracked[index], labels.votes
             classid, instance = labels.classid, np.zeros(len(objects), np.uint16)
             if found:
@@ -257,6 +263,8 @@ class SweepClassifier:
                 classid, instance = label_by_tracks(
                     frame.points, objects, votes, classid, found, pose, voted
                 )
+            untracked = (classid >= DYNAMIC) & (instance == 0)
+            classid = withdraw_untracked(classid, untracked, frame.ground, objects, occupied_once)
             store.write(index, frame, Labels(classid, votes, instance))
 
         with ThreadPoolExecutor(_FILE_THREADS) as pool:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import docdepth._core as _core
 from docdepth.dynamics.voting import Votes
-from docdepth.geometry.points import DYNAMIC, STATIC
+from docdepth.geometry.points import DYNAMIC, GROUND, STATIC
 from docdepth.geometry.track import MAX_TRACKS, Kind, Track
 from docdepth.geometry.trajectory import Trajectory
 
@@ -49,6 +49,13 @@ BOX_MARGIN = 0.5
 
 _PAIRS = 200_000
 """So many pairs of a point and a box are compared at once: where all moves, there are millions."""
+
+MIN_TRACKED_POINTS = 10
+"""Objects of fewer points are not tracked; as in the core."""
+
+MIN_OCCUPIED_ONCE = 0.05
+"""Share of an object that moves whose place was occupied once, and free before or after [-]:
+little, since in a queue others stood in the same places."""
 
 _MEMBER = np.dtype([("first", "u4"), ("track", "u4"), ("is_dynamic", "u4")])
 _BOX = np.dtype(
@@ -234,6 +241,46 @@ def label_by_tracks(
     every = _core.add_isolated_points(points, ground, objects, static, dynamic, inside)
     classid = np.where(every, np.uint16(DYNAMIC), classid)
     return classid, _instances(points, objects, classid >= DYNAMIC, result, T_world_lidar)
+
+
+def withdraw_untracked(
+    classid: NDArray[np.uint16],
+    untracked: NDArray[np.bool_],
+    ground: NDArray[np.bool_],
+    objects: NDArray[np.uint32],
+    occupied_once: NDArray[np.bool_],
+) -> NDArray[np.uint16]:
+    """Make dynamic points static again that no track follows and that do not look like moving.
+
+    Of what moves, places are free before and after, and occupied once; fences and twigs are found
+    free and occupied in turn. So the dynamic points of an object stay so if most of their places
+    were occupied once. In a queue others stood in the same places: where most of an object that is
+    large enough to be tracked is dynamic, a few are enough.
+
+    Parameters
+    ----------
+    classid : ndarray of uint16, shape (N,)
+        With tracks.
+    untracked : ndarray of bool, shape (N,)
+        Dynamic points of no track.
+    ground : ndarray of bool, shape (N,)
+    objects : ndarray of uint32, shape (N,)
+        From :func:`cluster_objects`.
+    occupied_once : ndarray of bool, shape (N,)
+        Of :class:`docdepth.dynamics.voting.OccupancyIntervals`.
+
+    Returns
+    -------
+    ndarray of uint16, shape (N,)
+    """
+    count = len(objects)
+    size = np.bincount(objects, minlength=count)
+    found = np.bincount(objects[untracked], minlength=count)
+    once = np.bincount(objects[untracked & occupied_once], minlength=count)
+    is_whole = (size >= MIN_TRACKED_POINTS) & (2 * found >= size)
+    moves = (2 * once >= found) | (is_whole & (once >= MIN_OCCUPIED_ONCE * found))
+    fixed = np.where(ground, np.uint16(GROUND), np.uint16(STATIC))
+    return np.where(untracked & ~moves[objects], fixed, classid)
 
 
 def _instances(

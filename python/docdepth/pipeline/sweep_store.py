@@ -47,7 +47,7 @@ EVIDENCE = "evidence"
 GROUND, TRACKING = "ground", "tracks"
 """Folders in the state of a run. With them, single frames are classified again."""
 
-_OF_EVIDENCE, _OF_DETECTIONS = 4, 3
+_OF_EVIDENCE, _OF_DETECTIONS = 5, 3
 """Arrays of a file of evidence."""
 
 _HELD_DETECTIONS = 64
@@ -171,18 +171,19 @@ class FrameStore:
 
     def store_evidence(self, index: int, evidence: Evidence, detections: _core.Detections) -> None:
         self._hold(index, detections)
-        labels, objects = evidence
+        labels, objects, occupied_once = evidence
         arrays: list[NDArray[Any]] = [objects, labels.votes.static, labels.votes.dynamic]
-        arrays += [labels.classid, *detections.arrays]
+        arrays += [labels.classid, np.packbits(occupied_once), *detections.arrays]
         with self.timer("write"):
             write_arrays(self.run, self._evidence_file(index), self.key, arrays)
 
     def evidence(self, index: int) -> Evidence:
         with self.timer("read"):
-            objects, static, dynamic, classid = read_arrays(
+            objects, static, dynamic, classid, packed = read_arrays(
                 self._evidence_file(index), _OF_EVIDENCE
             )
-        return Evidence(Labels(classid, Votes(static, dynamic)), objects)
+        once = np.unpackbits(packed, count=len(objects)).view(np.bool_)
+        return Evidence(Labels(classid, Votes(static, dynamic)), objects, once)
 
     def detections(self, index: int) -> _core.Detections:
         with self._keeping:
