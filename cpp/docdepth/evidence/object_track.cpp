@@ -10,9 +10,11 @@ namespace {
 /// Share of min_distance that a track goes while votes call it dynamic.
 constexpr float kMinVotedDistanceShare = 0.3f;
 /// While it moves, this share of what is seen of it is transient, and this share was free before or
-/// after: little, since in a queue others occupied the same places.
+/// after: little, since in a queue others occupied the same places. Of what is sparse that is not
+/// known; then nearly all of it is transient.
 constexpr float kMovingTransientShare = 1 / 3.0f;
 constexpr float kMovingFreeShare = 0.05f;
+constexpr float kMovingAllShare = 0.99f;
 /// An object that is never seen to move stands where for so long [s] this share of it was free, in
 /// the mean.
 constexpr double kFreeWindow = 2;
@@ -64,6 +66,7 @@ bool is_transient_while_moving(const ObjectTrack& object, const std::vector<doub
     transient_area += seen.transient_area;
     free_area += seen.free_area;
   }
+  if (transient_area >= kMovingAllShare * area) return true;
   return transient_area >= kMovingTransientShare * area && free_area >= kMovingFreeShare * area;
 }
 
