@@ -40,13 +40,13 @@ struct ClassificationOptions {
   float min_object_height = 0.3f;
   /// and this share of their points was observed free:
   float observed_free_share = 0.6f;
-  /// of which this share was occupied in one stretch of time,
-  float occupied_once_share = 1 / 3.0f;
   /// by at least this many key frames,
   int observed_free_votes = 2;
   /// and by one to less than this many that observed it occupied. With more a point is always
   /// static.
   float max_static_ratio = 8;
+  /// Of the points that were observed free, this share was occupied in one stretch of time.
+  float occupied_once_share = 1 / 3.0f;
 
   /// An isolated point inside a dynamic object belongs to it, if its static votes exceed its
   /// dynamic votes by at most this many.
@@ -59,8 +59,8 @@ struct ClassificationOptions {
 /// withdrawn. An object that moves is dynamic as a whole, except for points that were always
 /// observed occupied: they belong to something static that is connected to it. An object that
 /// stands for a while has many static votes. It is dynamic if enough of its place was observed
-/// free, which hardly ever happens to static objects: only thin ones collect dynamic votes, of rays
-/// that pass beside them.
+/// free, and occupied in one stretch of time. Thin and porous objects are observed free, too, by
+/// rays that pass beside and through them, but free and occupied in turn.
 ///
 /// @param ground, static_votes, dynamic_votes, occupied_once  one value per point (Votes)
 /// @param objects  row of the first point of each point's object (cluster_objects)

@@ -9,12 +9,14 @@ namespace {
 
 /// Share of min_distance that a track goes while votes call it dynamic.
 constexpr float kMinVotedDistanceShare = 0.3f;
-/// While it moves, this share of what is seen of it is transient, and this share was free before or
-/// after: little, since in a queue others occupied the same places. Of what is sparse that is not
-/// known; then nearly all of it is transient.
+/// While an object moves, this share of its area is transient,
 constexpr float kMovingTransientShare = 1 / 3.0f;
+/// and this share was free before or after: little, since in a queue others occupied the same
+/// places.
 constexpr float kMovingFreeShare = 0.05f;
-constexpr float kMovingAllShare = 0.99f;
+/// Where this share is transient, the object moves in any case: of sparse ones it is not known
+/// which places were free (kMaxIsolatedShare).
+constexpr float kSurelyTransientShare = 0.99f;
 /// An object that is never seen to move stands where for so long [s] this share of it was free, in
 /// the mean.
 constexpr double kFreeWindow = 2;
@@ -55,9 +57,8 @@ bool sways(const TrackPath& path) {
   return size.z() > kMaxVehicleHeight && path.distance() < size.head<2>().maxCoeff();
 }
 
-/// Whether votes bear out that it moves: while it does, enough of it is there for a while only. A
-/// fence of which each sweep hits other slats seems to go along, and its slats were occupied before
-/// and after.
+/// Whether enough of it is transient while its path moves. A fence of which each sweep hits other
+/// slats seems to go along with the LiDAR, but its slats were occupied before and after.
 bool is_transient_while_moving(const ObjectTrack& object, const std::vector<double>& times) {
   float area = 0, transient_area = 0, free_area = 0;
   for (const TrackObservation& seen : object.track.observations) {
@@ -66,7 +67,7 @@ bool is_transient_while_moving(const ObjectTrack& object, const std::vector<doub
     transient_area += seen.transient_area;
     free_area += seen.free_area;
   }
-  if (transient_area >= kMovingAllShare * area) return true;
+  if (transient_area >= kSurelyTransientShare * area) return true;
   return transient_area >= kMovingTransientShare * area && free_area >= kMovingFreeShare * area;
 }
 

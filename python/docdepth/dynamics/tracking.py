@@ -250,7 +250,7 @@ def withdraw_untracked(
     objects: NDArray[np.uint32],
     occupied_once: NDArray[np.bool_],
 ) -> NDArray[np.uint16]:
-    """Make dynamic points static again that no track follows and that do not look like moving.
+    """Make points static again that are dynamic by votes alone, and were free and occupied in turn.
 
     Of what moves, places are free before and after, and occupied once; fences and twigs are found
     free and occupied in turn. So the dynamic points of an object stay so if most of their places
