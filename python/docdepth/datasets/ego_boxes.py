@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from docdepth.datasets.base import Dataset, Sweep, View
 
@@ -25,10 +25,17 @@ def without_ego(sweep: Sweep, boxes: Sequence[ArrayLike]) -> Sweep:
     if not boxes:
         return sweep
     points = sweep.points.copy()
+    points[in_boxes(points, boxes)] = np.nan
+    return replace(sweep, points=points)
+
+
+def in_boxes(points: NDArray[np.float32], boxes: Sequence[ArrayLike]) -> NDArray[np.bool_]:
+    """Which points (N, 3) are in one of the boxes, as those of :func:`without_ego`."""
+    inside = np.zeros(len(points), bool)
     for box in boxes:
         low, high = np.array(box, np.float32).reshape(3, 2).T
-        points[((sweep.points >= low) & (sweep.points <= high)).all(axis=1)] = np.nan
-    return replace(sweep, points=points)
+        inside |= ((points >= low) & (points <= high)).all(axis=1)
+    return inside
 
 
 class WithoutEgo(View):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 import docdepth._core as _core
 from docdepth.datasets import Dataset, Sweep, usable_points
+from docdepth.datasets.ego_boxes import in_boxes
 from docdepth.diagnostics.sweeps import spread
 from docdepth.geometry.ground_plane import GroundPlane, find_ground, level_turn
 from docdepth.io.inputs import Box
@@ -210,15 +211,6 @@ def _whole(part: Cloud, around: Sequence[Cloud]) -> Cloud:
     returns = sum(int(in_boxes(cloud, box).sum()) for cloud in around)
     is_firm = len(part) >= len(around) and len(part) > _FIRM * returns
     return whole if is_firm else whole[:0]
-
-
-def in_boxes(points: Cloud, boxes: Sequence[Box]) -> NDArray[np.bool_]:
-    """Which points (N, 3) are in one of the boxes."""
-    inside = np.zeros(len(points), bool)
-    for box in boxes:
-        low, high = np.array(box, np.float32).T
-        inside |= ((points >= low) & (points <= high)).all(axis=1)
-    return inside
 
 
 def _off_ground(cloud: Cloud, ground: GroundPlane, lidars: NDArray[np.float64]) -> Cloud:
