@@ -38,16 +38,20 @@ test-all:
 nightly: test-all
 	$(call run,pytest-nightly)
 
-# System packages by apt, where there is one; elsewhere CMake fetches the headers it needs.
+# System packages by apt, where there is one; elsewhere CMake fetches the headers it needs. Only root
+# installs them: everyone else is told the command.
 system:
 	@command -v dpkg-query >/dev/null || exit 0; \
 	missing=$$(for p in $(SYSTEM); do \
 	  dpkg-query -W -f='$${Status}' $$p 2>/dev/null | grep -q 'install ok' || echo $$p; done); \
 	[ -z "$$missing" ] && exit 0; \
+	if [ "$$(id -u)" != 0 ]; then \
+	  echo "packages are missing; install them, or go on without them by: make SYSTEM= ..."; \
+	  echo "sudo apt-get install --no-install-recommends "$$missing; exit 1; \
+	fi; \
 	echo "installing: "$$missing; \
-	sudo=; [ "$$(id -u)" = 0 ] || sudo=sudo; \
-	$$sudo apt-get update -qq && \
-	DEBIAN_FRONTEND=noninteractive $$sudo apt-get install -y -qq --no-install-recommends $$missing
+	apt-get update -qq && \
+	DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $$missing
 
 $(BIN)/python: | system
 	$(PYTHON) -m venv $(VENV)
