@@ -29,7 +29,7 @@ from scenes.endless import EndlessRecording
 from docdepth.cli import keep_memory, take_one_blas_thread
 from docdepth.config import Parameters
 from docdepth.datasets.base import Dataset
-from docdepth.datasets.frame_range import FrameRange
+from docdepth.datasets.views import FrameRange
 from docdepth.evaluation.tables import Table
 from docdepth.geometry.points import DYNAMIC
 from docdepth.io.depth import read_depth

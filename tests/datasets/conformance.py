@@ -9,7 +9,7 @@ from dataclasses import fields
 import numpy as np
 
 from docdepth.datasets import Dataset, FrameRange, Sweep, usable_points
-from docdepth.datasets.images import file_of
+from docdepth.datasets.files import file_of
 from docdepth.geometry.se3 import check_rigid
 from docdepth.geometry.sensor_rig import SensorRig
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from docdepth.datasets import open_dataset
-from docdepth.datasets.point_format import foreign_format
+from docdepth.datasets.cloud import foreign_format
 from docdepth.errors import DatasetError
 
 RING = "ring"

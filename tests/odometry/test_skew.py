@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from docdepth.datasets import Sweep
-from docdepth.datasets.turning_lidar import TurningLidar
+from docdepth.datasets.views import TurningLidar
 from docdepth.geometry.turn import Turn
 from docdepth.odometry.odometry import estimate_poses
 from docdepth.odometry.skew import find_skew

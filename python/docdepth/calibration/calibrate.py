@@ -29,7 +29,7 @@ from docdepth.calibration.quality import (
 )
 from docdepth.calibration.sweeps import BoardSweep
 from docdepth.concurrency import Progress
-from docdepth.datasets.images import ImageSource
+from docdepth.datasets.files import ImageSource
 from docdepth.errors import CalibrationError, Finding, log_findings
 from docdepth.geometry.se3 import inverse
 

@@ -15,7 +15,7 @@ from docdepth.calibration.find import FEWEST_BOARDS
 from docdepth.calibration.sweeps import board_sweep
 from docdepth.concurrency import Progress
 from docdepth.datasets import Dataset, ImageStream
-from docdepth.datasets.images import read_image_of
+from docdepth.datasets.files import read_image_of
 from docdepth.errors import CalibrationError, DatasetError
 
 Floats = NDArray[np.float64]

@@ -14,7 +14,7 @@ from docdepth.calibration.board import Board
 from docdepth.calibration.calibrate import BoardPair, Calibration
 from docdepth.calibration.pictures import points_on_image
 from docdepth.concurrency import Progress
-from docdepth.datasets.images import read_image_of
+from docdepth.datasets.files import read_image_of
 from docdepth.geometry.camera import Camera
 from docdepth.io.atomic import write_atomically
 from docdepth.io.calibration import write_calibration

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from docdepth.datasets.base import CameraStream, Dataset, ImageStream, LidarStream, Sweep
 from docdepth.datasets.format import Format
-from docdepth.datasets.frame_range import FrameRange, full_recording, image_streams
 from docdepth.datasets.registry import (
     experimental_formats,
     find_recordings,
     format_names,
     open_dataset,
 )
+from docdepth.datasets.views import FrameRange, full_recording, image_streams
 from docdepth.geometry.points import usable_points
 
 __all__ = [

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -16,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from docdepth.datasets.images import ImageSource, read_image_of
+from docdepth.datasets.files import ImageSource, read_image_of
 from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.checks import ShortRepr, float_array, nanoseconds
@@ -331,60 +330,3 @@ class Dataset(Protocol):
     def labels(self, index: int) -> NDArray[np.uint32] | None:
         """SemanticKITTI labels of every input point (low 16 bits class, high instance), or None."""
         ...
-
-
-class View(DatasetRepr):
-    """A recording seen in another way: what a subclass does not change is as it was.
-
-    Parameters
-    ----------
-    whole : Dataset
-
-    Attributes
-    ----------
-    indices : sequence of int
-        Of its sweeps in the whole recording.
-    """
-
-    def __init__(self, whole: Dataset) -> None:
-        self.whole = whole
-        self.indices: Sequence[int] = range(len(whole))
-        self.name: str = whole.name
-        self.path: Path = whole.path
-        self.times: NDArray[np.int64] = whole.times
-        self.cameras = dict(whole.cameras)
-
-    def __len__(self) -> int:
-        return len(self.indices)
-
-    @cached_property
-    def partial_poses(self) -> NDArray[np.float64] | None:
-        """``T_world_lidar`` (n, 4, 4), NaN for sweeps without a pose; None without any."""
-        whole = self.whole.poses
-        return getattr(self.whole, "partial_poses", None) if whole is None else whole
-
-    @cached_property
-    def poses(self) -> NDArray[np.float64] | None:
-        """``T_world_lidar`` (n, 4, 4) if every sweep has a pose."""
-        known = self.partial_poses
-        return known if known is not None and np.isfinite(known).all() else None
-
-    @cached_property
-    def lidars(self) -> dict[str, LidarStream]:
-        """The LiDARs by name."""
-        return {name: self._lidar(stream) for name, stream in self.whole.lidars.items()}
-
-    def _lidar(self, stream: LidarStream) -> LidarStream:
-        return stream
-
-    def sweep(self, index: int) -> Sweep:
-        """Sweep ``index`` of the view."""
-        return self.whole.sweep(self.indices[index])
-
-    def sweep_files(self, index: int) -> list[Path]:
-        """The files of sweep ``index`` of the view."""
-        return self.whole.sweep_files(self.indices[index])
-
-    def labels(self, index: int) -> NDArray[np.uint32] | None:
-        """Labels of sweep ``index`` of the view; None without a file."""
-        return self.whole.labels(self.indices[index])

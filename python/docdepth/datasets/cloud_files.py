@@ -13,10 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import LidarStream
-from docdepth.datasets.cloud import Cloud, FileLidar, cloud_from_fields, read_rows, rows_of
+from docdepth.datasets.cloud import (
+    Cloud,
+    FileLidar,
+    cloud_from_fields,
+    foreign_format,
+    read_rows,
+    rows_of,
+)
 from docdepth.datasets.files import extra, unreadable
 from docdepth.datasets.kitti_files import in_order
-from docdepth.datasets.point_format import foreign_format
 from docdepth.datasets.times import times_of_names
 from docdepth.errors import DamagedFileError, DatasetError, InputError, RunError
 from docdepth.geometry.se3 import poses_from, quaternion_to_matrix

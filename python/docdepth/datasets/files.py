@@ -1,4 +1,7 @@
-"""Files of recordings: what cannot be read ends in a sentence that names it."""
+"""Files of recordings, and images in them: what cannot be read ends in a sentence that names it.
+
+Some sweeps or images may be broken: then others beside them tell what a recording is like.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,9 @@ import os
 import threading
 import warnings
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -15,12 +20,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import CalibrationError, DatasetError, MissingExtraError
+from docdepth.errors import CalibrationError, DatasetError, DocDepthError, MissingExtraError
 from docdepth.io.images import decode_image
 from docdepth.io.yaml_json import parse_json
 
 _Opened = TypeVar("_Opened")
+_File = TypeVar("_File")
+_Read = TypeVar("_Read")
 _MOST_NAMED = 8  # in an error
+_MOST_TRIES = 100  # sweeps or images that are tried in place of a broken one
 FILE = "docdepth.yaml"
 """What the files of a recording do not tell."""
 
@@ -95,6 +103,96 @@ def read_image(file: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[np.uint8]:
     if image is None:
         raise DatasetError(f"{file} is not a readable image; replace or remove it")
     return np.asarray(image)
+
+
+@dataclass(frozen=True)
+class StoredImage:
+    """An image within a file.
+
+    It has the members of a Path that docdepth asks images for; ``stat`` is that of the file.
+    """
+
+    file: Path
+    name: str  # for messages
+    # returns the image: ndarray of uint8, shape (height, width, 3), BGR
+    read: Callable[[], NDArray[np.uint8]]
+
+    def __fspath__(self) -> str:
+        return str(self.file / self.name)
+
+    def __str__(self) -> str:
+        return f"{self.file} ({self.name})"
+
+    @property
+    def parent(self) -> Path:
+        """The file that holds it."""
+        return self.file
+
+    def stat(self) -> os.stat_result:
+        """Size and time of the file that holds it."""
+        return self.file.stat()
+
+    def is_file(self) -> bool:
+        """Whether the file that holds it is there."""
+        return self.file.is_file()
+
+
+ImageSource = Path | StoredImage
+
+
+def read_image_of(image: ImageSource) -> NDArray[np.uint8]:
+    """An image as BGR, wherever it is."""
+    return image.read() if isinstance(image, StoredImage) else read_image(Path(image))
+
+
+def file_of(image: ImageSource) -> Path:
+    """The file that an image is, or is in."""
+    return image.file if isinstance(image, StoredImage) else image
+
+
+@contextmanager
+def suggest_skipping() -> Iterator[None]:
+    """If a sweep or an image is broken, say how a run leaves it out."""
+    try:
+        yield
+    except DatasetError as error:
+        raise DatasetError(error, "or leave it out by `on_error='skip'`", code=error.code) from None
+
+
+def first_readable(read: Callable[[_File], _Read], files: Sequence[_File]) -> _Read:
+    """What ``read`` gives for the first whole file; the error of the first if none is."""
+    return next(iter(readable(lambda k: read(files[k]), [0], len(files)).values()))
+
+
+def readable(
+    read: Callable[[int], _Read],
+    wanted: Iterable[int],
+    count: int,
+    broken: list[DocDepthError] | None = None,
+) -> dict[int, _Read]:
+    """What ``read`` gives for frames that are ``wanted``, or for frames near those that are broken.
+
+    Of ``count`` frames; by frame, in order. ``broken`` gets the errors of those that were wanted.
+    If none around one of them can be read, its error is raised.
+    """
+    found: dict[int, _Read] = {}
+    for index in wanted:
+        around = range(max(index - _MOST_TRIES, 0), min(index + _MOST_TRIES + 1, count))
+        problem: DocDepthError | None = None
+        for _, other in sorted((abs(k - index), k) for k in around):
+            if other in found:
+                break
+            try:
+                found[other] = read(other)
+                break
+            except DocDepthError as error:
+                problem = problem or error
+        else:
+            if problem is not None:
+                raise problem
+        if problem is not None and broken is not None:
+            broken.append(problem)
+    return dict(sorted(found.items()))
 
 
 def one_of(root: Path, what: str, known: Sequence[str], wanted: str | None) -> str:

@@ -14,10 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import LidarStream
-from docdepth.datasets.cloud import Cloud, FileLidar, packed, read_rows
-from docdepth.datasets.files import read_bytes, read_image, read_lines
-from docdepth.datasets.point_format import foreign_format
-from docdepth.datasets.readable_frames import first_readable, suggest_skipping
+from docdepth.datasets.cloud import Cloud, FileLidar, foreign_format, packed, read_rows
+from docdepth.datasets.files import (
+    first_readable,
+    read_bytes,
+    read_image,
+    read_lines,
+    suggest_skipping,
+)
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.se3 import are_rotations, nearest_rotation, poses_from
 

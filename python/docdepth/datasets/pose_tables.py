@@ -6,7 +6,6 @@ where the vehicle stood or where the satellites were lost.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Iterable
 from decimal import Decimal, InvalidOperation
 from math import isfinite
@@ -28,8 +27,6 @@ from docdepth.geometry.se3 import (
     se3_log,
 )
 from docdepth.geometry.trajectory import Trajectory
-
-log = logging.getLogger(__name__)
 
 # Between poses farther apart in time and in space, a sweep has none: what the vehicle did is open.
 _LONGEST_GAP = 250_000_000  # ns
@@ -184,28 +181,6 @@ def continue_ends(
             share = float(late[k] / (stamps[beside] - stamps[near]))
             result[k] = poses[near] @ se3_exp(share * omega, share * velocity)
     return result
-
-
-def whole_poses(partial: NDArray[np.float64] | None, path: Path) -> NDArray[np.float64] | None:
-    """The poses if every sweep has one, else None with a warning that says which sweeps do.
-
-    ``partial`` (n, 4, 4) is NaN where a pose of the recording ``path`` is not known.
-    """
-    if partial is None:
-        return None
-    known = np.asarray(np.isfinite(partial).all(axis=(1, 2)))
-    if known.all():
-        return partial
-    if not known.any():
-        log.warning("%s: no sweep has a pose", path)
-        return None
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]])))
-    begin, end = max(ends.reshape(-1, 2).tolist(), key=lambda run: run[1] - run[0])
-    log.warning(
-        "%s: %d of %d sweeps have no pose, so the recording has none; `frames='%d:%d'` has poses",
-        path, len(known) - known.sum(), len(known), begin, end,
-    )  # fmt: skip
-    return None
 
 
 def _checked(poses: NDArray[np.float64], file: Path) -> NDArray[np.float64]:

@@ -19,9 +19,8 @@ from docdepth.datasets.base import (
     LidarStream,
     Sweep,
 )
-from docdepth.datasets.cloud import Cloud, LidarReader
-from docdepth.datasets.ego_boxes import without_ego
-from docdepth.datasets.files import is_there, read_bytes
+from docdepth.datasets.cloud import Cloud, LidarReader, joined_columns
+from docdepth.datasets.files import is_there, read_bytes, readable
 from docdepth.datasets.point_times import (
     USUAL_PERIOD,
     PointTimes,
@@ -30,10 +29,9 @@ from docdepth.datasets.point_times import (
     median_period,
     nearest_rows,
 )
-from docdepth.datasets.pose_tables import whole_poses
-from docdepth.datasets.readable_frames import readable
-from docdepth.datasets.resampled import ResampledLidar, joined_columns, resample
+from docdepth.datasets.resampled import ResampledLidar, resample
 from docdepth.datasets.settings import RecordingSettings
+from docdepth.datasets.views import without_ego
 from docdepth.errors import DatasetError, DocDepthError
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.se3 import inverse
@@ -136,8 +134,24 @@ class Recording(DatasetRepr):
 
     @cached_property
     def poses(self) -> Poses:
-        """``T_world_lidar`` (n, 4, 4) if every sweep has a pose."""
-        return whole_poses(self.partial_poses, self.path)
+        """``T_world_lidar`` (n, 4, 4) if every sweep has a pose; else a warning says which do."""
+        partial = self.partial_poses
+        if partial is None:
+            return None
+        known = np.asarray(np.isfinite(partial).all(axis=(1, 2)))
+        if known.all():
+            return partial
+        if not known.any():
+            log.warning("%s: no sweep has a pose", self.path)
+            return None
+        ends = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]])))
+        begin, end = max(ends.reshape(-1, 2).tolist(), key=lambda run: run[1] - run[0])
+        log.warning(
+            "%s: %d of %d sweeps have no pose, so the recording has none; `frames='%d:%d'` has "
+            "poses",
+            self.path, len(known) - known.sum(), len(known), begin, end,
+        )  # fmt: skip
+        return None
 
     def _take(self, lidars: Sequence[LidarReader]) -> None:
         """All that follows from the sweeps of the LiDARs."""

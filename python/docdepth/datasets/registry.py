@@ -30,7 +30,7 @@ from docdepth.datasets.formats import (
 )
 from docdepth.datasets.formats.bag import bag_recording
 from docdepth.datasets.formats.pcap import hesai, ouster, velodyne
-from docdepth.datasets.frame_range import FrameRange
+from docdepth.datasets.views import FrameRange
 from docdepth.errors import DatasetError, raise_together
 
 log = logging.getLogger(__name__)

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import LidarStream
-from docdepth.datasets.cloud import Cloud, LidarReader
+from docdepth.datasets.cloud import Cloud, LidarReader, joined_columns
 from docdepth.datasets.files import OpenedOnce
 from docdepth.datasets.point_times import LONGEST, PointTimes, TimeSample
 from docdepth.datasets.pose_tables import continue_ends
@@ -202,9 +202,3 @@ def _part_of(cloud: Cloud, rows: NDArray[np.int64]) -> Cloud:
         None if cloud.intensity is None else cloud.intensity[rows],
         None if cloud.ring is None else cloud.ring[rows],
     )
-
-
-def joined_columns(columns: Sequence[NDArray[Any] | None]) -> NDArray[Any] | None:
-    """One column of several; None unless all are there."""
-    present = [column for column in columns if column is not None]
-    return np.concatenate(present) if len(present) == len(columns) else None

@@ -8,9 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from docdepth.datasets.base import Dataset, LidarStream, Sweep, View
+from docdepth.datasets.base import Dataset, LidarStream, Sweep
+from docdepth.datasets.files import readable
 from docdepth.datasets.merged_lidars import Place, lidar_ends, rig_in_order
-from docdepth.datasets.readable_frames import readable
+from docdepth.datasets.views import View
 from docdepth.geometry.ground_plane import GroundPlane, find_ground, level_turn
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.scan_mesh import share_in_triangles

@@ -9,9 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import CameraStream, Dataset, Sweep, usable_points
-from docdepth.datasets.files import is_there, settings_file, unreadable
-from docdepth.datasets.images import ImageSource, file_of
-from docdepth.datasets.readable_frames import suggest_skipping
+from docdepth.datasets.files import (
+    ImageSource,
+    file_of,
+    is_there,
+    settings_file,
+    suggest_skipping,
+    unreadable,
+)
 from docdepth.diagnostics.alignment import find_misalignment
 from docdepth.diagnostics.sweeps import of_broken, sample
 from docdepth.errors import Collector, DatasetError, Finding, collected

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import docdepth._core as _core
 from docdepth.datasets import Dataset, Sweep, usable_points
-from docdepth.datasets.ego_boxes import in_boxes
+from docdepth.datasets.views import in_boxes
 from docdepth.diagnostics.sweeps import spread
 from docdepth.geometry.ground_plane import GroundPlane, find_ground, level_turn
 from docdepth.io.inputs import Box

@@ -100,11 +100,6 @@ class Trajectory(ShortRepr):
         arc.setflags(write=False)
         return arc
 
-    @cached_property
-    def _elapsed(self) -> NDArray[np.float64]:
-        """Nanoseconds since the first pose, shape (n,); exact for drives of up to 104 days."""
-        return (self.times - self.times[0]).astype(np.float64)
-
     def subsample(self, spacing: float, duration: float = np.inf) -> NDArray[np.int64]:
         """Indices of poses spaced along the path, chosen greedily from the first.
 
@@ -207,8 +202,9 @@ class Trajectory(ShortRepr):
     def arc_length_at(self, times: ArrayLike) -> NDArray[np.float64]:
         """Path length at ``times`` [ns], metres, linear between poses."""
         times = np.atleast_1d(np.asarray(times, dtype=np.int64))
-        elapsed = (times - self.times[0]).astype(np.float64)
-        arc: NDArray[np.float64] = np.interp(elapsed, self._elapsed, self.arc_length)
+        # Since the first pose, so that a float is exact for drives of up to 104 days.
+        elapsed, known = ((t - self.times[0]).astype(np.float64) for t in (times, self.times))
+        arc: NDArray[np.float64] = np.interp(elapsed, known, self.arc_length)
         return arc
 
 

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.config import OdometryParameters
-from docdepth.datasets.base import Dataset, Sweep, View
-from docdepth.datasets.frame_range import FrameRange
-from docdepth.datasets.readable_frames import readable
-from docdepth.datasets.turning_lidar import TurningLidar
+from docdepth.datasets.base import Dataset, Sweep
+from docdepth.datasets.files import readable
+from docdepth.datasets.views import FrameRange, TurningLidar, View
 from docdepth.geometry.turn import Turn, possible_turns
 from docdepth.odometry.deskewing import centred_motion
 from docdepth.odometry.first_motion import first_motion

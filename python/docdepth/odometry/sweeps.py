@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 import docdepth._core as _core
 from docdepth.config import OdometryParameters
 from docdepth.datasets.base import Dataset, Sweep
+from docdepth.datasets.files import suggest_skipping
 from docdepth.datasets.point_times import sweep_seconds
-from docdepth.datasets.readable_frames import suggest_skipping
 from docdepth.errors import InputError, OdometryError
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.points import check_points

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from docdepth.datasets import CameraStream, Dataset, FrameRange
-from docdepth.datasets.images import file_of
+from docdepth.datasets.files import file_of
 from docdepth.diagnostics.sweeps import check_sweep
 from docdepth.errors import DatasetError, DocDepthError
 from docdepth.io.inputs import SkippedFrames

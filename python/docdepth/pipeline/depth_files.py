@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from docdepth._core import __version__
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
-from docdepth.datasets.readable_frames import suggest_skipping
+from docdepth.datasets.files import suggest_skipping
 from docdepth.errors import DatasetError
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track

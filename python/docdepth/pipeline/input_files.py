@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from docdepth.datasets.base import CameraStream, Dataset
-from docdepth.datasets.images import ImageSource, file_of
+from docdepth.datasets.files import ImageSource, file_of
 from docdepth.errors import DatasetError
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.yaml_json import parse_json

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets.base import Dataset, Sweep
-from docdepth.datasets.readable_frames import suggest_skipping
+from docdepth.datasets.files import suggest_skipping
 from docdepth.diagnostics.sweeps import find_lonely_returns
 from docdepth.errors import ConfigError, DatasetError
 from docdepth.geometry.points import usable_points

@@ -19,16 +19,13 @@ from docdepth.datasets import (
     image_streams,
     open_dataset,
 )
-from docdepth.datasets.base import View
-from docdepth.datasets.ego_boxes import WithoutEgo
+from docdepth.datasets.files import first_readable, read_image_of
 from docdepth.datasets.formats.docdepth_run import RunDataset
-from docdepth.datasets.images import read_image_of
 from docdepth.datasets.point_times import Instant
-from docdepth.datasets.readable_frames import first_readable
 from docdepth.datasets.settings import camera_mask
 from docdepth.datasets.times import read_times
-from docdepth.datasets.turning_lidar import TurningLidar
 from docdepth.datasets.up_axis import LEVEL_DEG, LevelledRecording, ground_of
+from docdepth.datasets.views import TurningLidar, View, WithoutEgo
 from docdepth.diagnostics.own_vehicle import find_own_vehicle
 from docdepth.diagnostics.rotation import find_rotation, lacks_times
 from docdepth.diagnostics.sweeps import find_sensor_origin

@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.datasets.files import read_image, read_lines
-from docdepth.datasets.images import StoredImage
+from docdepth.datasets.files import StoredImage, read_image, read_lines
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
 

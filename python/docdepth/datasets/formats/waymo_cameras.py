@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
+from docdepth.datasets.files import StoredImage
 from docdepth.datasets.formats.parquet_rows import ParquetRows
-from docdepth.datasets.images import StoredImage
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse, nearest_rigid, poses_from

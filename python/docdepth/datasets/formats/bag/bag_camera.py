@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, ImageStream
+from docdepth.datasets.files import StoredImage
 from docdepth.datasets.formats.bag.bag_file import BagFile, Message
 from docdepth.datasets.formats.bag.opened_bag import OpenedBag
 from docdepth.datasets.formats.bag.ros_images import (
@@ -22,7 +23,6 @@ from docdepth.datasets.formats.bag.ros_images import (
     rectification_of,
     size_of,
 )
-from docdepth.datasets.images import StoredImage
 from docdepth.datasets.settings import CameraSettings, transform
 from docdepth.errors import CalibrationError
 

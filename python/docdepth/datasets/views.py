@@ -1,22 +1,88 @@
-"""A part of a recording: sweeps A to B - 1."""
+"""A recording seen in another way: a part of it, without its own vehicle, with times of points."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from docdepth.datasets.base import CameraStream, Dataset, ImageStream, LidarStream, Sweep, View
+from docdepth.datasets.base import (
+    CameraStream,
+    Dataset,
+    DatasetRepr,
+    ImageStream,
+    LidarStream,
+    Sweep,
+)
 from docdepth.datasets.point_times import nearest_rows
 from docdepth.errors import DatasetError
+from docdepth.geometry.turn import Turn
 
 _Stream = TypeVar("_Stream", CameraStream, ImageStream)
+
+
+class View(DatasetRepr):
+    """A recording seen in another way: what a subclass does not change is as it was.
+
+    Parameters
+    ----------
+    whole : Dataset
+
+    Attributes
+    ----------
+    indices : sequence of int
+        Of its sweeps in the whole recording.
+    """
+
+    def __init__(self, whole: Dataset) -> None:
+        self.whole = whole
+        self.indices: Sequence[int] = range(len(whole))
+        self.name: str = whole.name
+        self.path: Path = whole.path
+        self.times: NDArray[np.int64] = whole.times
+        self.cameras = dict(whole.cameras)
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    @cached_property
+    def partial_poses(self) -> NDArray[np.float64] | None:
+        """``T_world_lidar`` (n, 4, 4), NaN for sweeps without a pose; None without any."""
+        known = self.whole.poses
+        known = getattr(self.whole, "partial_poses", None) if known is None else known
+        return None if known is None else known[list(self.indices)]
+
+    @cached_property
+    def poses(self) -> NDArray[np.float64] | None:
+        """``T_world_lidar`` (n, 4, 4) if every sweep has a pose."""
+        known = self.partial_poses
+        return known if known is not None and np.isfinite(known).all() else None
+
+    @cached_property
+    def lidars(self) -> dict[str, LidarStream]:
+        """The LiDARs by name."""
+        return {name: self._lidar(stream) for name, stream in self.whole.lidars.items()}
+
+    def _lidar(self, stream: LidarStream) -> LidarStream:
+        return stream
+
+    def sweep(self, index: int) -> Sweep:
+        """Sweep ``index`` of the view."""
+        return self.whole.sweep(self.indices[index])
+
+    def sweep_files(self, index: int) -> list[Path]:
+        """The files of sweep ``index`` of the view."""
+        return self.whole.sweep_files(self.indices[index])
+
+    def labels(self, index: int) -> NDArray[np.uint32] | None:
+        """Labels of sweep ``index`` of the view; None without a file."""
+        return self.whole.labels(self.indices[index])
 
 
 class FrameRange(View):
@@ -56,12 +122,6 @@ class FrameRange(View):
         self.indices = part
         self.times = whole.times[part]
         self.cameras = {name: self.part_of(stream) for name, stream in whole.cameras.items()}
-
-    @cached_property
-    def partial_poses(self) -> NDArray[np.float64] | None:
-        """Poses of the part, which may have them all where the whole recording has not."""
-        known = super().partial_poses
-        return None if known is None else known[self.indices]
 
     def sweep(self, index: int) -> Sweep:
         """Sweep ``index`` of the range."""
@@ -137,3 +197,71 @@ def image_streams(recording: Dataset) -> dict[str, ImageStream]:
         if s.images
     }
     return found | getattr(recording, "uncalibrated", {})
+
+
+def without_ego(sweep: Sweep, boxes: Sequence[ArrayLike]) -> Sweep:
+    """A sweep whose points within the boxes are no returns.
+
+    Rows stay, so that times, rings and labels keep theirs.
+
+    Parameters
+    ----------
+    sweep : Sweep
+    boxes : sequence of six numbers, or of three pairs
+        Least and greatest x, y and z, metres in the LiDAR frame.
+    """
+    if not boxes:
+        return sweep
+    points = sweep.points.copy()
+    points[in_boxes(points, boxes)] = np.nan
+    return replace(sweep, points=points)
+
+
+def in_boxes(points: NDArray[np.float32], boxes: Sequence[ArrayLike]) -> NDArray[np.bool_]:
+    """Which points (N, 3) are in one of the boxes, as those of :func:`without_ego`."""
+    inside = np.zeros(len(points), bool)
+    for box in boxes:
+        low, high = np.array(box, np.float32).reshape(3, 2).T
+        inside |= ((points >= low) & (points <= high)).all(axis=1)
+    return inside
+
+
+class WithoutEgo(View):
+    """A recording without what its LiDAR sees of its own vehicle.
+
+    Parameters
+    ----------
+    whole : Dataset
+    boxes : sequence of array_like
+        As for :func:`without_ego`.
+    """
+
+    def __init__(self, whole: Dataset, boxes: Sequence[ArrayLike]) -> None:
+        super().__init__(whole)
+        self._boxes = boxes
+
+    def sweep(self, index: int) -> Sweep:
+        """Sweep ``index``; points in the boxes are NaN."""
+        return without_ego(super().sweep(index), self._boxes)
+
+
+class TurningLidar(View):
+    """A recording of one spinning LiDAR, as measured, whose points have no times of their own.
+
+    Parameters
+    ----------
+    whole : Dataset
+        z of its points is the axis of the LiDAR, about.
+    turn : Turn, optional
+        None: points get no times.
+    """
+
+    def __init__(self, whole: Dataset, turn: Turn | None) -> None:
+        super().__init__(whole)
+        self.turn = turn
+
+    def sweep(self, index: int) -> Sweep:
+        """Sweep ``index`` as measured, with times of points."""
+        sweep = super().sweep(index)
+        times = None if self.turn is None else self.turn.relative_time(sweep.points)
+        return replace(sweep, relative_time=times, motion_compensated=False)
