@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kitti_drives import S_RECT, numbers, write_velodyne
+from kitti_drives import S_RECT, date, numbers, write_velodyne
 from made_up import DRIVE, SIZE
 from writers import WRITERS
 
@@ -91,6 +91,25 @@ def test_image_size_that_does_not_fit(raw: Path) -> None:
     stream = open_dataset(raw, image_size=SIZE).cameras["image_02"]
     assert stream.camera.width == SIZE[0]
     np.testing.assert_array_equal(stream.times, DRIVE.image_times)
+
+
+@pytest.mark.parametrize(
+    ("number", "stamped_ms", "triggered_ms"),
+    [("02", 10.5, 4), ("00", 16.7, 4), ("02", 16.7, 16.7), ("02", 0, 0), ("02", 37, 37)],
+)
+def test_one_trigger_exposes_the_cameras_of_kitti(
+    raw: Path, number: str, stamped_ms: float, triggered_ms: float
+) -> None:
+    """Stamps of KITTI's own are late, by what the kind of camera tells; others hold."""
+    file = raw.parent / "calib_cam_to_cam.txt"
+    file.write_text(file.read_text().replace("_02:", f"_{number}:"))
+    images = (raw / "image_02").rename(raw / f"image_{number}")
+    times = DRIVE.times + round(1e6 * stamped_ms)
+    for image in (images / "data").iterdir():
+        image.unlink()
+    (images / "timestamps.txt").write_text("".join(map(date, times)))
+    stream = open_dataset(raw, image_size=SIZE).cameras[images.name]
+    np.testing.assert_array_equal(stream.times, DRIVE.times + round(1e6 * triggered_ms))
 
 
 def test_usable_points() -> None:

@@ -15,6 +15,7 @@ from docdepth.datasets.base import CameraStream
 from docdepth.datasets.files import is_there, read_lines
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import Calibration, camera_offset, in_order
+from docdepth.datasets.point_times import nearest_rows
 from docdepth.datasets.pose_tables import continue_ends, poses_at, poses_of_angles
 from docdepth.datasets.recording import Part, Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
@@ -28,6 +29,14 @@ log = logging.getLogger(__name__)
 _RADIUS = 6378137.0  # metres, of the sphere of KITTI's Mercator projection
 _REMEDY = "unpack the 'synced+rectified data' of the drive again, or remove the folder oxts"
 EXPORT = "KITTI keeps it beside the drive; unpack the 'synced+rectified data' of the drive again"
+_LATE = {"00": 12_700_000, "01": 12_700_000, "02": 6_500_000, "03": 6_500_000}
+"""By how much the stamps of KITTI's cameras are late [ns].
+
+One trigger, fired when the LiDAR faces forward, exposes all four cameras, yet their stamps lie 10.5
+(colour) and 16.7 ms (grey) after the LiDAR's. Edges of sweeps and images of drive 2011_09_26 0013
+fit each other 4.0 +- 0.4 ms after the LiDAR's stamp."""
+_TRIGGER = 4_000_000  # ns after the stamp of the LiDAR
+_STAMPED_ALIKE = 1_500_000  # ns by which stamps of KITTI's own may differ from that
 _CALIBRATION = "unpack the 'calibration' archive of that date beside its drives"
 
 
@@ -117,6 +126,7 @@ class KittiRaw(Recording):
                 times, names = image_times(
                     folder / "timestamps.txt", images, sweeps, sweep_times, EXPORT
                 )
+                times = _triggered(times, number, sweep_times)
                 streams[folder.name] = CameraStream(
                     name=folder.name,
                     camera=camera_of(P[:, :3], size, f"{file}: P_rect_{number}"),
@@ -129,6 +139,18 @@ class KittiRaw(Recording):
             if not numbers:
                 raise CalibrationError(f"{file} has no camera (P_rect_NN); {_CALIBRATION}")
         return streams
+
+
+def _triggered(
+    times: NDArray[np.int64], number: str, sweep_times: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """When a camera of KITTI's was triggered, by its stamps; those of other rigs as they are."""
+    if not len(times) or not len(sweep_times):
+        return times
+    earlier = times - _LATE[number]
+    nearest = nearest_rows(sweep_times, earlier)
+    after = float(np.median(earlier - sweep_times[nearest]))
+    return earlier if abs(after - _TRIGGER) < _STAMPED_ALIKE else times
 
 
 def image_size_of(
