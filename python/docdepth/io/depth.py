@@ -18,6 +18,7 @@ from docdepth.io.atomic import write_atomically
 from docdepth.io.exr import encode_exr, import_exr, read_exr
 from docdepth.io.images import decode_image
 from docdepth.io.npy import ArrayError, read_array, read_arrays
+from docdepth.io.png import encode_png
 from docdepth.io.yaml_json import parse_json
 
 FORMATS = {  # from the least to the most exact
@@ -264,7 +265,7 @@ def _encode_png(depth: NDArray[np.float32], scale: float) -> bytes:
     # A depth that rounds to 0 would mean none; one step is the nearest that the format has.
     steps = np.maximum(np.rint(depth * scale), 1)
     pixels = np.where(np.isnan(depth), 0, steps).astype(np.uint16)
-    return bytes(cv2.imencode(".png", pixels)[1].tobytes())
+    return encode_png(pixels)
 
 
 def _decoded(path: Path) -> NDArray[Any]:

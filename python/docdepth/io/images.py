@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_PNG = b"\x89PNG\r\n\x1a\n"
+from docdepth.io.png import SIGNATURE
+
 _MOST_PACKED = 1100  # pixels for a byte of a PNG; deflate packs 1032 bytes into one
 
 
@@ -37,12 +38,12 @@ def _claims_too_much(data: NDArray[np.uint8]) -> bool:
 
     OpenCV takes memory for both before it reads them.
     """
-    if data[:8].tobytes() != _PNG or len(data) < 24:
+    if data[:8].tobytes() != SIGNATURE or len(data) < 24:
         return False
     width, height = struct.unpack(">II", data[16:24].tobytes())
     if width * height > _MOST_PACKED * len(data):
         return True
-    begin = len(_PNG)
+    begin = len(SIGNATURE)
     while begin + 8 <= len(data):
         length, kind = struct.unpack(">I4s", data[begin : begin + 8].tobytes())
         begin += length + 12  # with length, kind and checksum
