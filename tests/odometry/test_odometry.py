@@ -191,7 +191,7 @@ def test_a_single_sweep() -> None:
 
 def test_sweeps_are_read_when_asked_for_and_once_each() -> None:
     drive = Drive(5)
-    result = register_drive(drive, poses=drive.exact)
+    result = register_drive(drive, poses=drive.exact, poses_as_given=True)
     assert drive.read == []
     assert [sweep.name for sweep in result.sweeps] == [f"{k:06d}" for k in range(5)]
     assert drive.read == [0, 1, 2, 3, 4]
@@ -253,7 +253,7 @@ def test_a_run_reads_each_sweep_once(tmp_path: Path) -> None:
 
 def test_given_poses_are_kept_and_used_for_deskewing() -> None:
     drive = Drive(6)
-    result = register_drive(drive, poses=drive.exact)
+    result = register_drive(drive, poses=drive.exact, poses_as_given=True)
     assert drive.read == [], "nothing to register"
     np.testing.assert_array_equal(result.trajectory.poses, drive.exact)
     sweep = drive.sweep(3)

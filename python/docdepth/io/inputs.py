@@ -88,6 +88,11 @@ class RunInputs(Checked):
         "CAMERA:FILE for those of a camera, dataset for the recording's own; estimated if absent.",
         "FILE",
     )
+    poses_as_given: bool = Field(
+        False,
+        description="Keep the given poses however badly sweeps fit each other by them. Else a run "
+        "refines poses that are off by more than some centimetres over ten sweeps.",
+    )
     camera_times: _Path | None = _field(
         "Times of the images in seconds, one per line; those of the recording if absent.", "FILE"
     )

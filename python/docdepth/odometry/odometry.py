@@ -43,6 +43,7 @@ from docdepth.odometry.pose_checks import (
     places_compared,
 )
 from docdepth.odometry.pose_graph import check_solver
+from docdepth.odometry.refinement import refine_poor
 from docdepth.odometry.registration_log import Found, RegistrationLog
 from docdepth.odometry.smoothing import LAG, smoothed
 from docdepth.odometry.sweeps import FINE_SAMPLING, DeskewedSweeps, ThinnedSweeps
@@ -81,6 +82,7 @@ def register_drive(
     progress: Progress | None = None,
     checkpoint: Path | None = None,
     threads: int = 0,
+    poses_as_given: bool = False,
 ) -> Odometry:
     """Estimate the pose of each sweep of a drive, or take given poses, and deskew the sweeps.
 
@@ -90,7 +92,8 @@ def register_drive(
     parameters : Parameters, optional
         ``parameters.odometry`` is used.
     poses : array_like of float64, shape (n, 4, 4), optional
-        ``T_world_lidar`` of each sweep from another SLAM; nothing is registered then.
+        ``T_world_lidar`` of each sweep from another SLAM. They are kept if sweeps that are ten
+        apart fit each other to centimetres, and refined by registration if not.
     progress : callable, optional
         Called with the step (``register``, ``loop closure``), the sweeps or places done and their
         number.
@@ -99,6 +102,8 @@ def register_drive(
         behind it, with the same poses.
     threads : int
         0 for all cores. The poses do not depend on it.
+    poses_as_given : bool
+        Keep ``poses``, however well they fit.
 
     Returns
     -------
@@ -123,6 +128,15 @@ def register_drive(
         checked = check_given_poses(dataset, poses)
         findings = [*find_no_motion(dataset, checked, settings), *find_camera_poses(checked)]
         known = _level_world(dataset, checked, findings)
+        if not poses_as_given:
+            sweeps = _thinned_sweeps(dataset, settings, 1)
+            logs = [_log(dataset, settings, checkpoint, f"refined_{k + 1}") for k in range(PASSES)]
+            try:
+                known, said = refine_poor(sweeps, known, settings, thread_count(threads), logs)
+            finally:
+                for log_of_pass in logs:
+                    log_of_pass.close()
+            findings += said
     else:
         findings, sweeps = [], _thinned_sweeps(dataset, settings, PASSES)
         known = estimate_poses(

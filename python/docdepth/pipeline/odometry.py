@@ -20,7 +20,7 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.blooming import blooming_points
 from docdepth.odometry.odometry import Odometry, register_drive
 from docdepth.odometry.pose_checks import find_misfit
-from docdepth.pipeline.plan import odometry_stage
+from docdepth.pipeline.plan import are_kept, odometry_stage
 from docdepth.pipeline.stage import Profile, Stage
 
 log = logging.getLogger(__name__)
@@ -77,6 +77,7 @@ def run_odometry(
                     progress,
                     checkpoint,
                     threads,
+                    are_kept(run),
                 )
             profile.findings += odometry.findings
             if first.sensor_rig is not None:

@@ -20,7 +20,7 @@ from docdepth.pipeline.run_cameras import RunCamera, run_cameras
 from docdepth.pipeline.run_inputs import known_poses, open_recording
 from docdepth.pipeline.stage import FrameOutputs, Stage, StageInputs, StageState
 
-_VERSIONS = {"odometry": 8, "classify": 22, "render": 10}
+_VERSIONS = {"odometry": 9, "classify": 22, "render": 10}
 """Counted up when a new version of docdepth makes other results of the same inputs."""
 
 
@@ -47,10 +47,11 @@ def odometry_stage(
         first, derived, count = first or recording.sweep(0), run.manifest.derived, len(recording)
         up, boxes = derived.up, derived.ego_boxes
         rig = first.sensor_rig
+        kept = ["as given"] if are_kept(run) else []
         inputs = own | {
             "sweeps": input_files.sweeps(recording),
             "times": stage_key(recording.times.tolist()),
-            "poses": None if poses is None else stage_key(np.asarray(poses).tolist()),
+            "poses": None if poses is None else stage_key(np.asarray(poses).tolist(), *kept),
             "rays": stage_key(
                 None if rig is None else rig.T_lidar_sensor.tolist(),
                 first.motion_compensated,
@@ -76,6 +77,12 @@ def odometry_stage(
         reasons={"sweeps": sweeps, **others},
         save_inputs=input_files.save,
     )
+
+
+def are_kept(run: RunFolder) -> bool:
+    """Whether a run takes poses as they are given: by its inputs, or since it has none."""
+    inputs = run.manifest.inputs
+    return inputs is None or not inputs.poses or inputs.poses_as_given
 
 
 def classify_stage(run: RunFolder, odometry: Stage | None = None) -> Stage:

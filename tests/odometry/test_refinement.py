@@ -1,0 +1,74 @@
+"""Given poses that are decimetres off are refined, good ones kept, on an exact drive."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from docdepth.geometry.se3 import inverse, se3_exp
+from docdepth.odometry.odometry import register_drive
+from exact_drive import Drive
+
+SWEEPS = 24
+
+
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    return Drive(SWEEPS)
+
+
+def noisy(poses: np.ndarray, metres: float, degrees: float, scale: float = 1.0) -> np.ndarray:
+    """Poses with errors of their own each, and of another length."""
+    rng = np.random.default_rng(5)
+    changed = poses.copy()
+    changed[:, :3, 3] *= scale
+    for k in range(len(poses)):
+        turn = np.radians(rng.normal(0, degrees, 3))
+        changed[k] = changed[k] @ se3_exp(turn, rng.normal(0, metres, 3))
+    return changed
+
+
+def errors_over(poses: np.ndarray, exact: np.ndarray, apart: int) -> np.ndarray:
+    """Metres by which the motion over so many sweeps is wrong."""
+    motions = [inverse(p[:-apart]) @ p[apart:] for p in (poses, exact)]
+    return np.linalg.norm((inverse(motions[0]) @ motions[1])[:, :3, 3], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("metres", "degrees", "scale"), [(0.05, 0, 1), (0.2, 0, 1), (0, 0.5, 1), (0.1, 0.1, 1.02)]
+)
+def test_poor_poses_are_refined_where_they_were_given(
+    drive: Drive, metres: float, degrees: float, scale: float
+) -> None:
+    world = se3_exp(np.array([0.0, 0, 0.7]), np.array([400.0, -300, 20]))
+    given = noisy(world @ drive.exact, metres, degrees, scale)
+    odometry = register_drive(drive, poses=given)
+    assert [(f.code, f.severity) for f in odometry.findings] == [("poses-refined", "note")]
+    refined = odometry.trajectory.poses
+    assert errors_over(refined, drive.exact, 10).max() < 0.02
+    assert errors_over(given, drive.exact, 10).max() > 0.05
+    # As a whole they lie where the given ones lie on average.
+    off = (refined - given)[:, :3, 3].mean(axis=0)
+    np.testing.assert_allclose(off, 0, atol=1e-6)
+
+
+def test_good_poses_are_kept_bit_for_bit(drive: Drive) -> None:
+    for given in (drive.exact, noisy(drive.exact, 0.003, 0.01)):
+        odometry = register_drive(drive, poses=given)
+        assert odometry.findings == ()
+        np.testing.assert_array_equal(odometry.trajectory.poses, given)
+
+
+def test_poses_are_kept_on_request_and_nothing_is_read(drive: Drive) -> None:
+    drive.read.clear()
+    given = noisy(drive.exact, 0.2, 0)
+    kept = register_drive(drive, poses=given, poses_as_given=True).trajectory.poses
+    np.testing.assert_array_equal(kept, given)
+    assert drive.read == []
+
+
+def test_poses_of_another_drive_are_kept_and_told(drive: Drive) -> None:
+    given = drive.exact[np.random.default_rng(2).permutation(SWEEPS)]
+    odometry = register_drive(drive, poses=given)
+    np.testing.assert_array_equal(odometry.trajectory.poses, given)
+    assert "poor-poses" in [f.code for f in odometry.findings]
