@@ -1,59 +1,46 @@
-"""Images and depth maps of a finished run, for training a depth network.
+"""Train on the images and depth maps of a finished run.
 
-    docdepth run DRIVE -o RUN
-    python examples/train_loader.py DRIVE RUN
+    docdepth run DRIVE -o RUN --layers class
+    python examples/train_loader.py RUN
 
-PyTorch's data loader takes :class:`Samples`, with any number of workers. Pixels without depth are
-NaN: compute the loss where the mask is true.
+It fits a few convolutions to crops of the images, only to show the loop: pixels without depth, and
+those of moving objects, are left out of the loss.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+import torch
+from torch.nn import Conv2d, ReLU, Sequential
+from torch.utils.data import DataLoader
 
 import docdepth
+from docdepth.torch import DepthDataset
 
 
-class Sample(NamedTuple):
-    """One training sample; all arrays have the size of the image."""
-
-    name: str
-    image: NDArray[np.uint8]  # (h, w, 3), BGR, lens distortion removed
-    depth: NDArray[np.float32]  # (h, w), metres along the optical axis, NaN = none
-    mask: NDArray[np.bool_]  # (h, w), where there is depth
-
-
-class Samples(Sequence[Sample]):
-    """Images of a drive that have a depth map of the first camera of a run."""
-
-    def __init__(self, drive: Path, run: Path) -> None:
-        camera = docdepth.RunFolder.open(run).camera_in("")
-        self.stream, self.depth = docdepth.open_dataset(drive).cameras[camera], run / "depth"
-        names = enumerate(self.stream.names) if self.stream.images else ()
-        self.indices = [k for k, name in names if (self.depth / f"{name}.png").is_file()]
-
-    def __len__(self) -> int:
-        return len(self.indices)
-
-    def __getitem__(self, item: int) -> Sample:  # type: ignore[override]  # no slices
-        index = self.indices[item]
-        name, image = self.stream.names[index], self.stream.rectified_image(index)
-        assert image is not None
-        depth = docdepth.read_depth(self.depth / f"{name}.png")
-        return Sample(name, image, depth, np.isfinite(depth))
-
-
-def main(arguments: list[str]) -> None:
-    for sample in Samples(*map(Path, arguments)):
-        median = np.median(sample.depth[sample.mask])
-        print(f"{sample.name}: {sample.mask.mean():.0%} with depth, median {median:.1f} m")
+def train(run: Path, epochs: int = 5, crop: tuple[int, int] = (192, 384)) -> list[float]:
+    """The mean loss of each epoch: how far the logarithm of depth is off."""
+    data = DepthDataset(docdepth.open_run(run), layers=["moving"], crop=crop)
+    loader = DataLoader(data, batch_size=4, shuffle=True, num_workers=2)
+    net = Sequential(Conv2d(3, 16, 7, padding=3), ReLU(), Conv2d(16, 1, 1))
+    optimizer = torch.optim.Adam(net.parameters(), 1e-2)
+    means = []
+    for _ in range(epochs):
+        losses = []
+        for batch in loader:
+            used = batch["valid"] & ~batch["moving"]
+            error = net(batch["image"])[:, 0][used] - batch["depth"][used].log()
+            loss = error.abs().mean()
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            losses.append(loss.item())
+        means.append(sum(losses) / len(losses))
+    return means
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    for number, mean in enumerate(train(Path(sys.argv[1])), 1):
+        print(f"epoch {number}: {mean:.3f}")

@@ -184,8 +184,10 @@ def test_snippets_of_the_readme_run(
     exec(arrays, space)
     assert [len(d) for d in space["dynamic"]] == [len(s) for s in space["sweeps"]]
 
-    path = next(iter(replaced))
-    exec(_with(whole_run, {path: replaced[path]}), space)
+    replaced = {**replaced, "[50]": "[2]"}
+    del replaced["index=50"]
+    exec(_with(whole_run, replaced), space)
+    assert space["colors"].shape == (*space["depth"].shape, 3)
     assert len(list((tmp_path / "run" / "depth").glob("*.png"))) == 4
 
 

@@ -209,7 +209,6 @@ def test_every_object_says_in_a_line_what_it_is(sweeps, labels, drive: Path) -> 
         labels[0],
         docdepth.Scene(sweeps, TRAJECTORY, labels),
         docdepth.Renderer(),
-        docdepth.RunFolder(drive / "none"),
         dataset,
         dataset.sweep(0),
         *dataset.lidars.values(),
@@ -274,17 +273,17 @@ def test_a_scene_draws_the_same_in_many_threads(sweeps, labels) -> None:
 
 def test_labels_and_depth_are_those_of_a_run(drive: Path, finished: tuple[Path, str]) -> None:
     """To the last bit with the tracks of the run, which its table rounds."""
-    run = docdepth.RunFolder.open(finished[0])
+    run = docdepth.open_run(finished[0])
     dataset = docdepth.open_dataset(drive)
     odometry = docdepth.register_drive(dataset)
     labels = docdepth.classify_drive(odometry.sweeps, odometry.trajectory)
     for k, of_sweep in enumerate(labels):
-        frame = run.frame(k)
+        frame = run.sweeps[k]
         assert (of_sweep.classid[frame.index] == frame.classid).all()
         assert (of_sweep.instance[frame.index] == frame.instance).all()
     tracks = read_tracks(run.path / "tracks.csv")
     assert len(labels.tracks) == len(tracks) > 0
-    scene = docdepth.Scene(odometry.sweeps, run.trajectory(), labels, tracks=tracks)
+    scene = docdepth.Scene(odometry.sweeps, run.trajectory, labels, tracks=tracks)
     camera = dataset.cameras["image_2"]
     for k in (1, 2):
         written = docdepth.read_depth(run.path / "depth" / f"{camera.names[k]}.png")
@@ -295,8 +294,7 @@ def test_labels_and_depth_are_those_of_a_run(drive: Path, finished: tuple[Path, 
 
 
 def test_figures_take_a_run_or_its_path(finished: tuple[Path, str]) -> None:
-    run = docdepth.RunFolder.open(finished[0])
-    assert docdepth.RunFolder.open(run) is run
+    run = docdepth.open_run(finished[0])
     figures = [find_error_sources(one) for one in (run, run.path, str(run.path))]
     assert len({str(found) for found in figures}) == 1
     held_out = [evaluate_held_out(one, every=2) for one in (run, run.path, str(run.path))]

@@ -8,8 +8,8 @@ The public names, by stage:
 - ground (IV-A): :func:`grow_ground`
 - dynamics (IV-B, IV-C): :func:`classify_drive`, :class:`Labels`
 - depth maps (V): :class:`Scene`, :func:`render_depth`, :func:`render_layers`, :class:`Renderer`
-- files: :func:`run`, :class:`RunInputs`, :class:`Execution`, :class:`RunFolder`,
-  :func:`read_depth`, :func:`write_depth`
+- files: :func:`run`, :class:`RunInputs`, :class:`Execution`, :func:`open_run`, :class:`Run`,
+  :class:`RunImage`, :func:`read_depth`, :func:`write_depth`
 - parameters and errors: :func:`parameters`, :class:`Parameters`, :class:`DocDepthError`
 
 Everything else is internal and may change without notice.
@@ -29,10 +29,10 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import grow_ground
 from docdepth.io.depth import read_depth, write_depth
 from docdepth.io.inputs import RunInputs
-from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.odometry import Odometry, register_drive
 from docdepth.pipeline.execution import Execution
 from docdepth.pipeline.run import run
+from docdepth.pipeline.run_reader import Run, RunImage, open_run
 from docdepth.render.backends import Renderer
 from docdepth.render.scene import Scene, render_depth, render_layers
 
@@ -49,7 +49,8 @@ __all__ = [
     "Odometry",
     "Parameters",
     "Renderer",
-    "RunFolder",
+    "Run",
+    "RunImage",
     "RunInputs",
     "Scene",
     "SensorRig",
@@ -59,6 +60,7 @@ __all__ = [
     "classify_drive",
     "grow_ground",
     "open_dataset",
+    "open_run",
     "parameters",
     "read_depth",
     "register_drive",

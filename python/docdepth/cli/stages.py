@@ -35,8 +35,7 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry
 from docdepth.pipeline.execution import Execution
 from docdepth.pipeline.plan import require
-from docdepth.pipeline.run import continue_run, render_again
-from docdepth.pipeline.run import run as run_stages
+from docdepth.pipeline.run import continue_run, render_again, run_stages
 from docdepth.pipeline.run_all import run_all
 from docdepth.pipeline.run_inputs import known_poses, open_recording
 from docdepth.pipeline.virtual_camera import virtual_camera

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Collection
 from math import prod
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -34,8 +35,8 @@ def read_array(file: Path) -> NDArray[Any]:
         return read_next_array(stream, file.stat().st_size)
 
 
-def read_arrays(file: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of an NPZ file by name.
+def read_arrays(file: Path, names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
+    """The arrays of an NPZ file by name: all, or those of ``names`` that it has.
 
     Raises
     ------
@@ -45,10 +46,9 @@ def read_arrays(file: Path) -> dict[str, NDArray[Any]]:
     with file.open("rb") as stream:
         try:
             with zipfile.ZipFile(stream) as archive:
-                return {
-                    entry.filename.removesuffix(".npy"): _of_archive(archive, entry)
-                    for entry in archive.infolist()
-                }
+                entries = {e.filename.removesuffix(".npy"): e for e in archive.infolist()}
+                wanted = entries if names is None else [name for name in names if name in entries]
+                return {name: _of_archive(archive, entries[name]) for name in wanted}
         except ArrayError:
             raise
         # A damaged archive fails in many ways: of structures, of compression, of passwords.

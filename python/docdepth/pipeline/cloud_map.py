@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,24 @@ _OBJECT = np.dtype([(name, "<f4") for name in "xyz"] + [("points", "<u4")] + _RG
 _COLUMN, _LIGHT = 1.0, 4.0  # side of a column, and height of full light [m]
 _DARKEST = 0.4
 _LEAST_MERGED = 1_000_000  # voxels; sorting the map for fewer takes too long
+
+
+class CloudMap(NamedTuple):
+    """A point for each voxel with static points.
+
+    Attributes
+    ----------
+    points : ndarray of float64, shape (n, 3)
+        The mean of its points, in the world [m].
+    classid : ndarray of uint16, shape (n,)
+        What most of them are: 0 ground, 50 static.
+    counts : ndarray of uint32, shape (n,)
+        How many there are.
+    """
+
+    points: NDArray[np.float64]
+    classid: NDArray[np.uint16]
+    counts: NDArray[np.uint32]
 
 
 class VoxelCloud:
@@ -130,6 +149,17 @@ def write_map(run: RunFolder, voxel: float = VOXEL, progress: Progress | None = 
     RunError
         A frame is missing, damaged or not classified.
     """
+    world, objects = gather_map(run, voxel, progress)
+    return _write(run, world, objects)
+
+
+def gather_map(
+    run: RunFolder, voxel: float = VOXEL, progress: Progress | None = None
+) -> tuple[CloudMap, dict[int, VoxelCloud]]:
+    """The map and the clouds of objects that :func:`write_map` writes, these by track.
+
+    The arguments and errors are those of :func:`write_map`.
+    """
     require(run, "classify")
     report = progress or null_progress
     trajectory, tracks = run.trajectory(), tracks_in(run.path)
@@ -152,10 +182,8 @@ def write_map(run: RunFolder, voxel: float = VOXEL, progress: Progress | None = 
             cloud = objects.setdefault(of, VoxelCloud(voxel * _OF_OBJECTS, np.zeros(3)))
             cloud.add(points @ T[:3, :3].T + T[:3, 3], np.zeros(len(points), bool))
         report("map", k + 1, len(trajectory))
-    named = {
-        f"{n:05d}_{tracks[n].kind}.ply": (cloud, track_color(n)) for n, cloud in objects.items()
-    }
-    return _write(run, world, named)
+    points, is_ground, counts = world.cloud()
+    return CloudMap(points, np.where(is_ground, GROUND, STATIC).astype(np.uint16), counts), objects
 
 
 def _shade(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -174,28 +202,25 @@ def _paint(rows: NDArray[np.void], colors: NDArray[np.float64]) -> None:
     rows["blue"], rows["green"], rows["red"] = np.rint(colors).astype(np.uint8).T
 
 
-def _write(
-    run: RunFolder,
-    world: VoxelCloud,
-    objects: dict[str, tuple[VoxelCloud, tuple[int, int, int]]],
-) -> Path:
+def _write(run: RunFolder, world: CloudMap, objects: dict[int, VoxelCloud]) -> Path:
     """Write the clouds, and remove objects of an earlier map."""
-    write = run.writer({"classify": run.stage("classify").key or ""})
+    write, tracks = run.writer({"classify": run.stage("classify").key or ""}), tracks_in(run.path)
     path, folder = run.path / "map" / "map.ply", run.path / "map" / "objects"
+    names = {number: f"{number:05d}_{tracks[number].kind}.ply" for number in objects}
     with run.lock("map"):
-        for name in set(run.records(folder).names()) - set(objects):
+        for name in set(run.records(folder).names()) - set(names.values()):
             run.remove(folder / name)
-        for name, (cloud, color) in sorted(objects.items()):
-            points, _, counts = cloud.cloud()
+        for number, name in sorted(names.items()):
+            points, _, counts = objects[number].cloud()
             rows = np.empty(len(points), _OBJECT)
             rows["x"], rows["y"], rows["z"] = points.T
             rows["points"] = counts
-            _paint(rows, _shade(points) * color)
+            _paint(rows, _shade(points) * track_color(number))
             write_vertices(folder / name, rows, ["frame of the box: x forward, z up"], write)
-        points, is_ground, counts = world.cloud()
-        rows = np.empty(len(points), _CLOUD)
-        rows["x"], rows["y"], rows["z"] = points.T
-        rows["classid"], rows["points"] = np.where(is_ground, GROUND, STATIC), counts
-        _paint(rows, np.where(is_ground[:, None], GROUND_COLOR, _shade(points) * STATIC_COLOR))
+        rows = np.empty(len(world.points), _CLOUD)
+        rows["x"], rows["y"], rows["z"] = world.points.T
+        rows["classid"], rows["points"] = world.classid, world.counts
+        is_ground = world.classid[:, None] < STATIC
+        _paint(rows, np.where(is_ground, GROUND_COLOR, _shade(world.points) * STATIC_COLOR))
         write_vertices(path, rows, ["world [m]"], write)
     return path

@@ -34,6 +34,7 @@ from docdepth.pipeline.render import run_render
 from docdepth.pipeline.resources import keep_budget, parameters_within_budget, within_memory
 from docdepth.pipeline.run_cameras import RunCamera, add_cameras, open_run_cameras, run_cameras
 from docdepth.pipeline.run_inputs import known_poses, open_as_begun, open_inputs, recording_of
+from docdepth.pipeline.run_reader import Run
 from docdepth.pipeline.stage import Stage
 from docdepth.pipeline.virtual_camera import check_name
 from docdepth.render.backends import Renderer
@@ -51,7 +52,7 @@ def run(
     parameters: Parameters | None = None,
     execution: Execution | None = None,
     **options: Any,
-) -> RunFolder:
+) -> Run:
     """Turn a recording into depth maps: odometry, ground, dynamics, rendering.
 
     The same call continues a run that was interrupted, and makes again what is missing, damaged or
@@ -75,7 +76,8 @@ def run(
 
     Returns
     -------
-    RunFolder
+    Run
+        To be read, as of :func:`docdepth.open_run`; there is nothing to read after a dry run.
 
     Raises
     ------
@@ -83,7 +85,13 @@ def run(
         An input is missing or damaged, or the folder holds another run.
     """
     inputs, execution = models_of(inputs, execution, options)
-    values, place = parameters or Parameters(), Path(output)
+    return Run(run_stages(inputs, Path(output), parameters or Parameters(), execution).path)
+
+
+def run_stages(
+    inputs: RunInputs, place: Path, values: Parameters, execution: Execution
+) -> RunFolder:
+    """:func:`run` with all that it may be given; of a dry run the folder is not written."""
     begun = RunFolder(place).manifest
     inputs = _as_begun(inputs, begun.inputs)
     with _all_problems(inputs, values, place):

@@ -18,7 +18,7 @@ from docdepth.io.inputs import RunInputs
 from docdepth.pipeline.execution import Execution
 from docdepth.pipeline.parallel import WorkerPool
 from docdepth.pipeline.resources import bytes_of
-from docdepth.pipeline.run import models_of, run
+from docdepth.pipeline.run import models_of, run_stages
 from docdepth.pipeline.virtual_camera import parse_size
 
 log = logging.getLogger(__name__)
@@ -152,7 +152,7 @@ def _run_one(
     """Run a recording into a folder; what stopped it."""
     recording, folder = pair
     try:
-        run(inputs.but(recording=recording), folder, parameters, execution)
+        run_stages(inputs.but(recording=recording), folder, parameters or Parameters(), execution)
     except (DocDepthError, OSError, MemoryError) as error:
         log.warning("%s failed: %s", recording, error)
         return error

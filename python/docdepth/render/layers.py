@@ -43,11 +43,12 @@ LAYERS: tuple[str, ...] = get_args(Layer)
 NOT_LOOKED_AT, AGREED, CONTRADICTED = 0, 1, 2
 """Values of the layer ``seen``."""
 
-_TRIANGLES_ONLY = {
+TRIANGLES_ONLY = {
     "normal": "splats face the camera and have no normal",
     "instance": "splats are not followed along tracks and have no instance",
     "seen": "splats are no rays and tell nothing of what was seen",
 }
+"""Layers that splats do not have, and why."""
 
 _CONFIDENCE = {"triangles": (6.90, 0.46, 3.02, 2.32), "splats": (3.9, 1.0, 2.7, 0.0)}
 """Weights a, b, c and d of :func:`confidence` [-], fitted to the exact depth of synthetic
@@ -123,7 +124,7 @@ def check_layers(names: Sequence[str], parameters: RenderParameters) -> None:
     unknown = [name for name in names if name not in (*LAYERS, "measures")]
     if unknown:
         raise InputError(f"unknown layer {unknown[0]!r}; there are {', '.join(LAYERS)}")
-    for name, reason in _TRIANGLES_ONLY.items():
+    for name, reason in TRIANGLES_ONLY.items():
         if parameters.primitive == "splats" and name in names:
             raise InputError(
                 f"{reason}; leave the layer {name} out, or draw triangles "
