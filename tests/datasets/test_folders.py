@@ -17,7 +17,7 @@ from docdepth.datasets.formats.cloud_folder import cloud_files
 from docdepth.datasets.times import time_of_name, times_of_files
 from docdepth.errors import DatasetError, DocDepthError
 from docdepth.geometry.se3 import poses_from, rotation_exp
-from docdepth.io.pcd import read_pcd
+from docdepth.io.pcd import PcdError, read_pcd
 from docdepth.io.ply import write_vertices
 from docdepth.io.poses import write_kitti
 
@@ -64,6 +64,105 @@ def test_padding_of_no_values_means_natural_alignment(tmp_path: Path) -> None:
     found, _ = read_pcd(tmp_path / "a.pcd")
     for name in rows.dtype.names:
         np.testing.assert_array_equal(found[name], rows[name])
+
+
+def written_by_pcl(rows: np.ndarray, count: int) -> bytes:
+    """As PCL writes it: its header takes the size of a field for that of the one before it."""
+    assert rows.dtype.fields is not None
+    names, sizes, types, counts, told = [], [], [], [], 0
+    fields = sorted((entry[1], name, entry[0]) for name, entry in rows.dtype.fields.items())
+    for k, (offset, name, dtype) in enumerate(fields):
+        if told != offset:
+            padding = offset - fields[k - 1][0] - dtype.itemsize if k else offset
+            told += padding
+            names.append("_"), sizes.append(1), types.append("U"), counts.append(padding)
+        told += dtype.itemsize
+        names.append(name), sizes.append(dtype.itemsize), counts.append(1)
+        types.append({"f": "F", "u": "U", "i": "I"}[dtype.kind])
+    if told < rows.dtype.itemsize:
+        names.append("_"), sizes.append(1), types.append("U")
+        counts.append(rows.dtype.itemsize - told)
+    lists = (" ".join(map(str, words)) for words in (names, sizes, types, counts))
+    header = HEADER.format(**dict(zip(("fields", "size", "type", "count"), lists, strict=True)))
+    header = header.replace("WIDTH 3", f"WIDTH {count}").replace("POINTS 3", f"POINTS {count}")
+    return header.encode() + rows.tobytes()
+
+
+STRUCTS = {  # of point types in use, as a C++ compiler lays them out
+    "velodyne": ([("intensity", "<f4", 16), ("ring", "<u2", 20), ("time", "<f4", 24)], 32),
+    "robosense": ([("intensity", "<f4", 16), ("timestamp", "<f8", 24), ("ring", "<u2", 32)], 48),
+    "hesai": ([("intensity", "u1", 16), ("timestamp", "<f8", 24), ("ring", "<u2", 32)], 48),
+    "ouster": (
+        [("intensity", "<f4", 16), ("t", "<u4", 20), ("reflectivity", "<u2", 24),
+         ("ring", "u1", 26), ("ambient", "<u2", 28), ("range", "<u4", 32)],
+        48,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("struct", STRUCTS)
+@pytest.mark.parametrize("zeros", [0, 1000])
+def test_padding_of_pcl(tmp_path: Path, struct: str, zeros: int) -> None:
+    fields, size = STRUCTS[struct]
+    names, formats, offsets = zip(
+        ("x", "<f4", 0), ("y", "<f4", 4), ("z", "<f4", 8), *fields, strict=True
+    )
+    layout = {"names": names, "formats": formats, "offsets": offsets, "itemsize": size}
+    rng = np.random.default_rng(0)
+    content = rng.integers(1, 255, 5 * size, dtype=np.uint8).tobytes()
+    rows = np.frombuffer(content, np.dtype(layout), 5)
+    (tmp_path / "a.pcd").write_bytes(written_by_pcl(rows, 5) + bytes(zeros))
+    found, _ = read_pcd(tmp_path / "a.pcd")
+    assert found.dtype.names == names
+    for name in names:
+        np.testing.assert_array_equal(found[name], rows[name])
+
+
+def test_the_header_of_a_recorder_that_pcl_wrote(tmp_path: Path) -> None:
+    """Copied from a file in use: 48 bytes a row, times at 24, rings at 32."""
+    header = HEADER.format(
+        fields="x y z _ intensity _ timestamp _ ring _",
+        size="4 4 4 1 4 1 8 1 2 1",
+        type="F F F U F U F U U U",
+        count="1 1 1 4 1 0 1 6 1 12",
+    )
+    rows = np.zeros((3, 48), np.uint8)
+    rows[:, 24:32] = np.array([[1.5], [2.5], [3.5]]).view(np.uint8)
+    rows[:, 32:34] = np.array([[7], [8], [9]], "<u2").view(np.uint8)
+    (tmp_path / "a.pcd").write_bytes(header.encode() + rows.tobytes())
+    found, _ = read_pcd(tmp_path / "a.pcd")
+    assert found["timestamp"].tolist() == [1.5, 2.5, 3.5]
+    assert found["ring"].tolist() == [7, 8, 9]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (("POINTS 3", "POINTS 2"), "WIDTH 3, HEIGHT 1, POINTS 2"),
+        (("WIDTH 3", "WIDTH 4"), "WIDTH 4, HEIGHT 1, POINTS 3"),
+        (("1 2 3\n", "1 2\n"), "2 values for point 0, not 3"),
+        (("7 8 9\n", "7 8 9 10\n"), "4 values for point 2, not 3"),
+        (("7 8 9\n", ""), "2 of 3 points"),
+        (("1 2 3\n4 5 6\n", "1 2\n3 4 5 6\n"), "2 values for point 0, not 3"),
+    ],
+)
+def test_pcd_files_that_contradict_themselves(
+    tmp_path: Path, change: tuple[str, str], told: str
+) -> None:
+    text = HEADER.format(fields="x y z", size="4 4 4", type="F F F", count="1 1 1")
+    text = text.replace("binary", "ascii") + "1 2 3\n4 5 6\n7 8 9\n"
+    (tmp_path / "a.pcd").write_text(text)
+    assert read_pcd(tmp_path / "a.pcd")[0]["z"].tolist() == [3, 6, 9]
+    (tmp_path / "a.pcd").write_text(text.replace(*change))
+    with pytest.raises(PcdError, match=told):
+        read_pcd(tmp_path / "a.pcd")
+
+
+def test_bytes_behind_the_points_are_zeros(tmp_path: Path) -> None:
+    header = HEADER.format(fields="x y z", size="4 4 4", type="F F F", count="1 1 1")
+    (tmp_path / "a.pcd").write_bytes(header.encode() + bytes(36) + b"\1")
+    with pytest.raises(PcdError, match="1 bytes more than its 3 points"):
+        read_pcd(tmp_path / "a.pcd")
 
 
 def test_integers_of_an_ascii_file_keep_their_digits(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ _TYPES = {
 }
 _MOST_LINES = 100  # of a header
 _MOST_VALUES = 1 << 12  # of a field of one point, and fields
+_MOST_ZEROS = 4096  # bytes behind the data
 _MOST_PACKED = 300  # times as large as its compressed bytes; LZF packs 264 bytes into 3
 
 
@@ -34,7 +36,8 @@ class PcdHeader:
     Attributes
     ----------
     fields : list of (str, str, int)
-        Name, type in numpy's letters, and values a point; 0 values are padding.
+        Name, type in numpy's letters, and values a point. Fields named ``_``, or of 0 values, are
+        padding.
     count : int
         Points.
     viewpoint : ndarray of float64, shape (7,)
@@ -51,11 +54,58 @@ class PcdHeader:
     data: str
     size: int
 
-    def dtype(self, align: bool = False) -> np.dtype[Any]:
-        """Of a row; padding has no field."""
-        shapes = [(name, kind, (n,)) if n > 1 else (name, kind) for name, kind, n in self.fields]
-        kept = [shape for shape, (_, _, n) in zip(shapes, self.fields, strict=True) if n]
-        return np.dtype(kept, align=align)
+    @property
+    def named(self) -> list[tuple[str, str, int]]:
+        """Fields that are no padding."""
+        return [(name, kind, n) for name, kind, n in self.fields if n and name != "_"]
+
+    def dtype(self, size: int | None = None) -> np.dtype[Any]:
+        """Of the named fields of a row of ``size`` bytes; of these fields alone if absent."""
+        names = [name for name, _, _ in self.named]
+        formats = [kind if n == 1 else (kind, (n,)) for _, kind, n in self.named]
+        if size is None:
+            return np.dtype(list(zip(names, formats, strict=True)))
+        offsets = _offsets(self.fields, size)
+        return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})  # type: ignore[call-overload]
+
+    @property
+    def packed_size(self) -> int:
+        """Bytes of a row by its header."""
+        return sum(np.dtype(kind).itemsize * n for _, kind, n in self.fields)
+
+
+def _offsets(fields: list[tuple[str, str, int]], size: int) -> list[int]:
+    """Where the named fields of a row of ``size`` bytes begin.
+
+    By the format they lie one behind the other, with the padding between them. But padding comes
+    from C structs, and is often wrong. PCL takes the size of a field for that of the field before
+    it; others write 0 for all. So where padding leaves a field unaligned, these are tried in turn.
+    """
+    plain, by_pcl, by_compiler = list[int](), list[int](), list[int]()
+    end = end_by_pcl = end_by_compiler = before = 0
+    padding: int | None = None
+    for name, kind, n in fields:
+        width = np.dtype(kind).itemsize
+        if n == 0 or name == "_":
+            padding = n * width
+        else:
+            plain.append(end)
+            if padding is not None and by_pcl:
+                end_by_pcl = by_pcl[-1] + before * width + padding
+            by_pcl.append(end_by_pcl)
+            by_compiler.append(-(-end_by_compiler // width) * width)
+            end_by_pcl = by_pcl[-1] + n * width
+            end_by_compiler = by_compiler[-1] + n * width
+            before, padding = n, None
+        end += n * width
+    named = [(np.dtype(kind).itemsize, n) for name, kind, n in fields if n and name != "_"]
+    if len(named) < len(fields):
+        for offsets in (plain, by_pcl, by_compiler):
+            ends = [begin + width * n for begin, (width, n) in zip(offsets, named, strict=True)]
+            apart = all(a <= b for a, b in zip(ends, [*offsets[1:], size], strict=True))
+            if apart and not any(b % w for b, (w, _) in zip(offsets, named, strict=True)):
+                return offsets
+    return plain
 
 
 def read_pcd(path: Path) -> tuple[NDArray[Any], PcdHeader]:
@@ -152,9 +202,14 @@ def _header_of(entries: dict[str, list[str]], size: int) -> PcdHeader:
     names = entries["FIELDS"]
     counts = [int(n) for n in entries.get("COUNT", ["1"] * len(names))]
     kinds = [_TYPES[t][int(s)] for t, s in zip(entries["TYPE"], entries["SIZE"], strict=True)]
-    unique = [name if names.count(name) == 1 else f"{name}{k}" for k, name in enumerate(names)]
+    unique = [
+        name if name == "_" or names.count(name) == 1 else f"{name}{k}"
+        for k, name in enumerate(names)
+    ]
     shape = [int(entries[key][0]) for key in ("WIDTH", "HEIGHT") if key in entries]
-    count = int(entries["POINTS"][0]) if "POINTS" in entries else int(np.prod(shape))
+    count = int(entries["POINTS"][0]) if "POINTS" in entries else math.prod(shape)
+    if len(shape) == 2 and math.prod(shape) != count:
+        raise ValueError(f"WIDTH {shape[0]}, HEIGHT {shape[1]}, POINTS {count}")
     viewpoint = np.array(entries.get("VIEWPOINT", ["0", "0", "0", "1", "0", "0", "0"]), np.float64)
     data = entries["DATA"][0].lower()
     if viewpoint.shape != (7,) or count < 0:
@@ -169,17 +224,22 @@ def _header_of(entries: dict[str, list[str]], size: int) -> PcdHeader:
 
 
 def _read_text(body: bytes, header: PcdHeader) -> NDArray[Any]:
-    dtype = header.dtype()
-    columns = sum(n for _, _, n in header.fields)
-    words = np.array(body.split())
-    if len(words) != header.count * columns:
-        raise PcdError(f"holds {len(words)} numbers for {header.count} points of {columns}")
-    rows = np.empty(header.count, dtype)
-    table = words.reshape(header.count, columns)
+    # PCL names padding in the header, and writes none.
+    columns = [sum(n for _, _, n in fields) for fields in (header.fields, header.named)]
+    lines = [words for line in body.split(b"\n") if (words := line.split())]
+    if len(lines) != header.count:
+        raise PcdError(f"holds {len(lines)} of {header.count} points")
+    fields = header.named if lines and len(lines[0]) == columns[1] else header.fields
+    wanted = sum(n for _, _, n in fields)
+    for k, words in enumerate(lines):
+        if len(words) != wanted:
+            raise PcdError(f"holds {len(words)} values for point {k}, not {wanted}")
+    rows = np.empty(header.count, header.dtype())
+    table = np.array(lines).reshape(header.count, wanted)
     begin = 0
-    for name, kind, n in header.fields:
+    for name, kind, n in fields:
         try:
-            if n:
+            if name in (rows.dtype.names or ()):
                 part = table[:, begin] if n == 1 else table[:, begin : begin + n]
                 rows[name] = part.astype(kind)
         except (ValueError, OverflowError) as error:
@@ -189,23 +249,16 @@ def _read_text(body: bytes, header: PcdHeader) -> NDArray[Any]:
 
 
 def _read_binary(body: bytes, header: PcdHeader) -> NDArray[Any]:
-    dtype = header.dtype()
-    if any(n == 0 for _, _, n in header.fields) and header.count:
-        # Written from a C struct: fields lie on their natural alignment, and rows may be longer.
-        dtype = header.dtype(align=True)
-        step = len(body) // header.count
-        if len(body) % header.count == 0 and step > dtype.itemsize:
-            offsets = [dtype.fields[name][1] for name in dtype.names or ()]  # type: ignore[index]
-            formats = [dtype[name] for name in dtype.names or ()]
-            dtype = np.dtype(
-                {"names": list(dtype.names or ()), "formats": formats, "offsets": offsets,
-                 "itemsize": step}
-            )  # fmt: skip
-    if len(body) < header.count * dtype.itemsize:
-        raise PcdError(
-            f"is truncated: it holds {len(body) // dtype.itemsize} of {header.count} points"
-        )
-    return np.frombuffer(body, dtype, header.count).copy()
+    count, size = header.count, header.packed_size
+    untold = count and any(n == 0 for _, _, n in header.fields)
+    if untold and body[count * size :].strip(b"\0"):
+        size = len(body) // count  # of a C struct whose padding the header does not tell
+    if len(body) < count * size:
+        raise PcdError(f"is truncated: it holds {len(body) // size} of {count} points")
+    rest = body[count * size :]
+    if len(rest) > _MOST_ZEROS or any(rest):
+        raise PcdError(f"holds {len(rest)} bytes more than its {count} points")
+    return np.frombuffer(body, header.dtype(size), count).copy()
 
 
 def _read_compressed(body: bytes, header: PcdHeader) -> NDArray[Any]:
@@ -219,8 +272,7 @@ def _read_compressed(body: bytes, header: PcdHeader) -> NDArray[Any]:
     if len(body) < 8:
         raise PcdError("is truncated")
     packed, whole = struct.unpack_from("<II", body)
-    dtype = header.dtype()
-    if len(body) < 8 + packed or whole < header.count * dtype.itemsize:
+    if len(body) < 8 + packed or whole < header.count * header.packed_size:
         raise PcdError(f"is truncated: {len(body) - 8} of {packed} bytes are there")
     if whole > _MOST_PACKED * packed:  # before memory is taken
         raise PcdError(f"is damaged: {packed} bytes cannot hold {whole}")
@@ -230,11 +282,11 @@ def _read_compressed(body: bytes, header: PcdHeader) -> NDArray[Any]:
         unpacked = None
     if unpacked is None or len(unpacked) != whole:
         raise PcdError("is damaged: it cannot be decompressed")
-    rows = np.empty(header.count, dtype)
+    rows = np.empty(header.count, header.dtype())
     begin = 0
     for name, kind, n in header.fields:
         values = np.frombuffer(unpacked, kind, header.count * n, begin)
         begin += values.nbytes
-        if n:
+        if name in (rows.dtype.names or ()):
             rows[name] = values if n == 1 else values.reshape(header.count, n)
     return rows
