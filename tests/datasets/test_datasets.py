@@ -41,6 +41,20 @@ def test_a_missing_sweep_keeps_the_others_at_their_times(raw: Path) -> None:
     np.testing.assert_array_equal(open_dataset(raw).times, DRIVE.times[[0, 2, 3, 4]])
 
 
+def test_a_blank_line_stands_for_a_lost_sweep_or_for_nothing(raw: Path) -> None:
+    """As kitti2bag's users have them (kitti2bag#4)."""
+    file = raw / "velodyne_points" / "timestamps.txt"
+    lines = file.read_text().splitlines()
+    file.write_text("\n\n".join(lines) + "\n\n\n")
+    np.testing.assert_array_equal(open_dataset(raw, image_size=SIZE).times, DRIVE.times)
+    sweep = sorted((raw / "velodyne_points" / "data").iterdir())[1]
+    sweep.unlink()
+    lines[1] = ""
+    file.write_text("\n".join(lines) + "\n")
+    kept = np.delete(DRIVE.times, 1)
+    np.testing.assert_array_equal(open_dataset(raw, image_size=SIZE).times, kept)
+
+
 def test_times_of_points_of_a_sequence(sequence: Path) -> None:
     """Raw sweeps need a file; of compensated ones it tells when moving objects were measured."""
     file = sequence / "point_times" / "000001.bin"

@@ -146,6 +146,9 @@ def test_velocity_in_the_frame_of_the_sensor() -> None:
     trajectory = Trajectory(START + np.arange(5) * 10**8, poses_from(rotations, positions))
     np.testing.assert_allclose(trajectory.velocity(2), [5, 0, 0], atol=0.01)
     np.testing.assert_allclose(trajectory.velocity(0), [5, 0.125, 0], atol=0.01)
+    last = trajectory.velocity(len(trajectory) - 1)
+    np.testing.assert_array_equal(trajectory.velocity(-1), last)
+    assert np.linalg.norm(last) > 4
     single = Trajectory(np.array([START]), random_poses(1))
     assert single.velocity(0).tolist() == [0, 0, 0]
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -18,8 +19,10 @@ from docdepth import Parameters
 from docdepth.cli.config_file import read_config
 from docdepth.datasets import LidarStream
 from docdepth.datasets.cloud_files import RowFormat, read_cloud
+from docdepth.datasets.files import read_image
 from docdepth.datasets.formats.bag import ros_images, ros_points
 from docdepth.datasets.formats.bag.bag_recording import BagLidar
+from docdepth.datasets.kitti_files import image_size
 from docdepth.datasets.pose_tables import read_pose_table
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.datasets.times import read_times
@@ -38,6 +41,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.depth import encode_depth, read_depth
 from docdepth.io.frames import read_frame, read_trajectory, write_frame, write_trajectory
+from docdepth.io.images import decode_image
 from docdepth.io.labels import read_classes
 from docdepth.io.npy import ArrayError, read_array, read_arrays
 from docdepth.io.poses import read_poses, read_tum
@@ -124,7 +128,7 @@ LONG_TRACK = f"0,{10**30},1,vehicle,1,2,3,0,0,4,2,1,0,0,0,0.1,5"
 NO_TIMES = ("1e99999", "9999999999999", "inf", "nan")
 BROKEN = {
     read_a_cloud: ("a.pcd", DatasetError, [
-        (pcd("x y z i", "F F F U", "1 1 1 1", "ascii", b"1 2 3 4 5 6 7 300"), "value of i"),
+        (pcd("x y z i", "F F F U", "1 1 1 1", "ascii", b"1 2 3 4\n5 6 7 300"), "value of i"),
         (pcd("x y z", "F F F", "1 2 1", "binary", bytes(32)), "several values"),
         (pcd("x y z", "F F F", "1 -1 1", "binary", bytes(32)), "COUNT"),
         (pcd("x y z", "F F F", "0 0 0", "binary", b"", 10**12), "COUNT"),
@@ -178,9 +182,20 @@ def test_broken_files_are_described(tmp_path: Path, read: Callable[[Path], objec
             read(written(tmp_path / name, content))
 
 
+def jpeg(cut: int = 0, size: int = 40) -> bytes:
+    """A photo that tells another size, or lacks its end."""
+    content = bytearray(cv2.imencode(".jpg", np.full((40, 40, 3), 99, np.uint8))[1].tobytes())
+    struct.pack_into(">HH", content, content.index(b"\xff\xc0") + 5, size, size)
+    return bytes(content[: len(content) - cut])
+
+
 @pytest.mark.parametrize(
-    "content", [png(b"IHDR", ">4x4xII", 6, 1 << 28), png(b"IDAT", ">I", 1 << 30)]
-)
+    "content",
+    [
+        png(b"IHDR", ">4x4xII", 6, 1 << 28), png(b"IDAT", ">I", 1 << 30),
+        jpeg(size=32_000), jpeg(cut=2), jpeg(cut=300),
+    ],
+)  # fmt: skip
 def test_images_that_claim_too_much(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: bytes
 ) -> None:
@@ -225,6 +240,37 @@ def test_no_object_of_python_is_loaded(tmp_path: Path) -> None:
     with pytest.raises(DatasetError):
         read_settings(tmp_path, RecordingSettings)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.npy", "a.npz", "docdepth.yaml"]
+
+
+@pytest.mark.parametrize("progressive", [0, 1])
+@pytest.mark.parametrize("noise", [0, 255])
+def test_photos_that_claim_what_they_hold(progressive: int, noise: int) -> None:
+    image = np.random.default_rng(0).integers(0, noise + 1, (2000, 3000)).astype(np.uint8)
+    flags = [cv2.IMWRITE_JPEG_PROGRESSIVE, progressive, cv2.IMWRITE_JPEG_QUALITY, 1]
+    content = cv2.imencode(".jpg", image, flags)[1].tobytes()
+    found = decode_image(content, cv2.IMREAD_GRAYSCALE)
+    assert found is not None
+    np.testing.assert_array_equal(found, cv2.imdecode(np.frombuffer(content, np.uint8), 0))
+
+
+def test_a_photo_on_its_side_has_the_size_of_its_pixels_as_all_programs_show_it(
+    tmp_path: Path,
+) -> None:
+    content = cv2.imencode(".jpg", np.full((30, 50, 3), 99, np.uint8))[1].tobytes()
+    entry = struct.pack("<HHII", 0x0112, 3, 1, 6)  # orientation: turn to the right
+    exif = b"Exif\0\0II*\0\x08\0\0\0" + struct.pack("<H", 1) + entry + bytes(4)
+    head = b"\xff\xd8\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif
+    photo = written(tmp_path / "a.jpg", head + content[2:])
+    assert read_image(photo).shape == (50, 30, 3)
+    assert image_size([photo]) == (30, 50)
+
+
+@pytest.mark.parametrize(
+    "tag", ['!!float ""', '!!int ""', "!!bool maybe", "!!timestamp now", "!!binary é", "!!set [1]"]
+)
+def test_tags_that_do_not_fit(tag: str) -> None:
+    with pytest.raises(ValueError, match=r"tag|expected|failed|float|could not|invalid"):
+        parse_yaml(f"a: {tag}")
 
 
 def test_trees_without_end() -> None:

@@ -34,6 +34,19 @@ def test_floats_keep_every_bit(tmp_path: Path, suffix: str) -> None:
     assert read_depth(path).dtype == np.float32
 
 
+@pytest.mark.parametrize("suffix", [".npy", ".npz", ".tiff", ".exr", ".png"])
+def test_arrays_in_any_order_of_memory(tmp_path: Path, suffix: str) -> None:
+    if suffix == ".exr":
+        pytest.importorskip("OpenEXR")
+    depth, path = np.rint(256 * depth_map()) / 256, tmp_path / f"depth{suffix}"
+    masked = np.ma.masked_array(depth, depth > 50)
+    for other in (np.asfortranarray(depth), np.repeat(depth, 2, axis=1)[:, ::2], depth[::-1, ::-1]):
+        write_depth(path, other)
+        np.testing.assert_array_equal(read_depth(path), other)
+    write_depth(path, masked)
+    np.testing.assert_array_equal(read_depth(path), np.where(depth > 50, np.nan, depth))
+
+
 def test_png_is_metres_times_256_with_0_for_none(tmp_path: Path) -> None:
     path = tmp_path / "depth.png"
     depth = depth_map()

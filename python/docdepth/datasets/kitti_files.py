@@ -6,10 +6,8 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from decimal import Decimal
-from functools import partial
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -237,7 +235,7 @@ def image_size(files: Sequence[Path]) -> tuple[int, int] | None:
     """Width and height of the first image in pixels; None if there is none."""
     if not files:
         return None
-    image = first_readable(partial(read_image, flags=cv2.IMREAD_UNCHANGED), files)
+    image = first_readable(read_image, files)
     return image.shape[1], image.shape[0]
 
 

@@ -27,18 +27,24 @@ def read_times(path: Path) -> NDArray[np.int64]:
 
     Lines are seconds like ``1317000000.123456789`` or dates like ``2011-09-26 13:02:25.951199337``.
     """
-    return _parse(read_lines(path, "write one time a line, in seconds"), path)
+    lines = _numbered_lines(path, "write one time a line, in seconds")
+    return np.array([_nanoseconds(text, n, path) for n, text in lines if text], np.int64)
 
 
 def read_times_of(files: Sequence[Path], table: Path, what: str, remedy: str) -> NDArray[np.int64]:
     """Read the time of each of these files, in order, from a table; nanoseconds.
 
-    It has a line for each file, or for each number that may be in a file's name. ``what`` it holds,
-    "times" or "stamps", and the ``remedy`` if it is missing are for errors. Times increase
-    strictly.
+    It has a line for each file, or for each number that may be in a file's name. Blank lines do not
+    count, or stand for a file that was lost. ``what`` it holds, "times" or "stamps", and the
+    ``remedy`` if it is missing are for errors. Times increase strictly.
     """
-    stamps = _parse(read_lines(table, remedy), table)
-    times: NDArray[np.int64] = stamps[match_rows(files, len(stamps), table, what)]
+    lines = _numbered_lines(table, remedy)
+    written = [line for line in lines if line[1]]
+    if len(written) == len(files):
+        lines = written
+    rows = match_rows(files, len(lines), table, what)
+    found = [_nanoseconds(lines[row][1], lines[row][0], table) for row in rows]
+    times: NDArray[np.int64] = np.array(found, np.int64)
     check_increasing(times, [file.name for file in files], table)
     return times
 
@@ -59,13 +65,13 @@ def image_times(
     return read_times_of(files, table, what, remedy), [file.stem for file in files]
 
 
-def _parse(lines: list[str], path: Path) -> NDArray[np.int64]:
-    return np.array([_nanoseconds(line, n, path) for n, line in enumerate(lines, 1)], np.int64)
+def _numbered_lines(path: Path, remedy: str) -> list[tuple[int, str]]:
+    """The lines of a text file with their numbers, blank ones as well."""
+    return [(n, line.strip()) for n, line in enumerate(read_lines(path, remedy), 1)]
 
 
 def _nanoseconds(text: str, line: int, path: Path) -> int:
     """One time; it never passes through a float, which would lose digits."""
-    text = text.strip()
     try:
         if ":" in text:
             with warnings.catch_warnings():

@@ -194,6 +194,7 @@ class Trajectory(ShortRepr):
 
         By central differences, at the ends one-sided; 0 for a single pose.
         """
+        index = range(len(self))[index]
         before, after = max(index - 1, 0), min(index + 1, len(self) - 1)
         seconds = (self.times[after] - self.times[before]) * 1e-9
         distance: NDArray[np.float64] = self.poses[after, :3, 3] - self.poses[before, :3, 3]

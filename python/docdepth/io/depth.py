@@ -298,7 +298,10 @@ def _load(path: Path) -> NDArray[Any]:
 
 
 def _checked(depth: NDArray[np.float32]) -> NDArray[np.float32]:
-    depth = np.asarray(depth)
+    """The same depths in rows that follow each other, as encoders take them."""
+    if isinstance(depth, np.ma.MaskedArray) and depth.dtype.kind == "f":
+        depth = depth.filled(np.nan)
+    depth = np.ascontiguousarray(depth)
     if depth.ndim != 2 or depth.dtype != np.float32 or not depth.size:
         raise InputError(
             f"a depth map is float32 metres of shape (h, w); got {depth.dtype} {depth.shape}"

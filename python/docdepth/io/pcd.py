@@ -66,7 +66,8 @@ class PcdHeader:
         if size is None:
             return np.dtype(list(zip(names, formats, strict=True)))
         offsets = _offsets(self.fields, size)
-        return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})  # type: ignore[call-overload]
+        layout = {"names": names, "formats": formats, "offsets": offsets, "itemsize": size}
+        return np.dtype(layout)  # type: ignore[call-overload]
 
     @property
     def packed_size(self) -> int:

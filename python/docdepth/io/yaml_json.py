@@ -30,6 +30,8 @@ def parse_yaml(text: str) -> Any:
         raise ValueError(explain_yaml(error)) from None
     except RecursionError:
         raise ValueError("it is too deep") from None
+    except (LookupError, TypeError, AttributeError, ArithmeticError):
+        raise ValueError("a tag (!!) does not fit its value") from None
 
 
 def parse_json(text: str | bytes) -> Any:
