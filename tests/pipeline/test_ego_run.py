@@ -75,7 +75,7 @@ def test_a_run_finds_the_own_vehicle_once_and_keeps_what_it_found(
     carried, tmp_path, monkeypatch, caplog
 ):
     caplog.set_level(NOTE, "docdepth")
-    folder = docdepth.run(carried, tmp_path / "run", camera="none")
+    folder = docdepth.run(carried, tmp_path / "run", camera="none").folder
     (line,) = said(caplog)
     assert " 60 returns a sweep" in line
     (box,) = folder.manifest.derived.ego_boxes

@@ -171,4 +171,4 @@ def test_a_lost_file_of_the_recording_is_named(drive: Path, tmp_path: Path) -> N
         run(tmp_path / "drive", tmp_path / "run", camera="image_2", progress=progress, threads=2)
     os.rename(tmp_path / "away", file)
     folder = run(tmp_path / "drive", tmp_path / "run", camera="image_2", threads=2)
-    assert {state.state for state in states(folder)} == {"done"}
+    assert {state.state for state in states(folder.folder)} == {"done"}

@@ -41,7 +41,8 @@ def root(made: Path, tmp_path: Path) -> Path:
 
 
 def make(root: Path, name: str, keep: str | None = None) -> RunFolder:
-    return run(root / "drive", root / name, poses=root / "poses.txt", keep=keep, threads=1)
+    made = run(root / "drive", root / name, poses=root / "poses.txt", keep=keep, threads=1)
+    return made.folder
 
 
 def contents(folder: Path) -> dict[str, bytes]:

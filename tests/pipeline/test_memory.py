@@ -116,16 +116,16 @@ def test_a_budget_makes_no_other_run(
 
     monkeypatch.setattr(classify, "chunks", spy)
     monkeypatch.setattr("docdepth.pipeline.run.within_memory", short)
-    folder = run(drive, tmp_path / "run", memory="1G")
+    folder = run(drive, tmp_path / "run", memory="1G").folder
     assert set(grown) == {50}
     assert folder.parameters == parameters()
     before = sorted((file, file.stat().st_mtime_ns) for file in folder.path.rglob("*.ply"))
-    for again in (run(drive, folder.path), run(drive, folder.path, memory="2G")):
+    for again in (run(drive, folder.path).folder, run(drive, folder.path, memory="2G").folder):
         assert {state.state for state in states(again)} == {"done"}
     assert before == sorted((file, file.stat().st_mtime_ns) for file in folder.path.rglob("*.ply"))
     other = run(drive, tmp_path / "other")  # began without a budget
     grown.clear()
-    assert {state.state for state in states(run(drive, other.path, memory="1G"))} == {"done"}
+    assert {state.state for state in states(run(drive, other.path, memory="1G").folder)} == {"done"}
     assert not grown
     for file in (folder.path / "labels").iterdir():
         assert file.read_bytes() == (other.path / "labels" / file.name).read_bytes()

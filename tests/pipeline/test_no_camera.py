@@ -36,7 +36,7 @@ def test_labels_are_those_of_a_run_with_a_camera(drive, tmp_path) -> None:
     result = cli("run", recording, "-o", tmp_path / "run", "--camera", "none")
     assert result.exit_code == 0, result.stderr
     made = RunFolder(tmp_path / "run")
-    seen = run(drive, tmp_path / "seen")
+    seen = run(drive, tmp_path / "seen").folder
     for k in range(SWEEPS):
         np.testing.assert_array_equal(made.frame(k).classid, seen.frame(k).classid)
         np.testing.assert_array_equal(made.frame(k).points, seen.frame(k).points)
@@ -58,9 +58,9 @@ def test_labels_are_those_of_a_run_with_a_camera(drive, tmp_path) -> None:
 
 
 def test_a_camera_can_be_added_later(drive, tmp_path) -> None:
-    made = run(drive, tmp_path / "run", camera="none")
+    made = run(drive, tmp_path / "run", camera="none").folder
     frame = made.frame_path(1).stat().st_mtime_ns
-    made = run(drive, tmp_path / "run")
+    made = run(drive, tmp_path / "run").folder
     assert list(made.cameras) == ["image_2"]
     assert made.frame_path(1).stat().st_mtime_ns == frame, "labels are kept"
     whole = run(drive, tmp_path / "whole")

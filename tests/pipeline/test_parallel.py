@@ -24,12 +24,13 @@ from command_line import cli
 from docdepth.concurrency import Timer, map_unordered
 from docdepth.config import Parameters
 from docdepth.errors import ConfigError, DamagedFileError, DatasetError, RunError, SeveralProblems
+from docdepth.io.inputs import RunInputs
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import parallel
 from docdepth.pipeline.execution import Execution
 from docdepth.pipeline.parallel import ChunkContext, WorkerPool
 from docdepth.pipeline.plan import states
-from docdepth.pipeline.run import run
+from docdepth.pipeline.run import run, run_stages
 from docdepth.pipeline.run_all import run_all
 from small_drive import results, write_small_drive
 
@@ -59,7 +60,9 @@ def test_two_processes_make_what_one_makes(
     cut_into(monkeypatch, 2.0)
     monkeypatch.chdir(tmp_path)
     steps: list[tuple[str, int, int]] = []
-    folder = run(drive, "run", camera="all", jobs=2, progress=lambda *step: steps.append(step))
+    folder = run(
+        drive, "run", camera="all", jobs=2, progress=lambda *step: steps.append(step)
+    ).folder
     assert results(tmp_path / "run") == results(whole)
     assert {state.state for state in states(folder, verify=True)} == {"done"}
     assert not (folder.path / ".docdepth" / "staging").exists()
@@ -85,7 +88,8 @@ def test_a_worker_that_dies_ends_the_run_and_the_same_command_continues(
     with pytest.raises(RunError, match="a worker has died"):
         run(drive, tmp_path / "run", camera="all", jobs=2, progress=kill)
     assert not (tmp_path / "run" / ".docdepth" / "staging").exists()
-    assert run(drive, tmp_path / "run", camera="all", jobs=2).stage("classify").frames == SWEEPS
+    again = run(drive, tmp_path / "run", camera="all", jobs=2).folder
+    assert again.stage("classify").frames == SWEEPS
     assert results(tmp_path / "run") == results(whole)
 
 
@@ -219,7 +223,12 @@ def test_each_job_is_counted_in_the_memory_that_a_run_needs(drive: Path, tmp_pat
     told = [
         float(re.findall(r"([\d.]+) GB of memory", folder.manifest.estimate)[0])
         for folder in (
-            run(drive, tmp_path / f"{jobs}", camera="all", jobs=jobs, dry_run=True)
+            run_stages(
+                RunInputs(recording=drive, camera=("all",)),
+                tmp_path / f"{jobs}",
+                Parameters(),
+                Execution(jobs=jobs, dry_run=True),
+            )
             for jobs in (1, 4)
         )
     ]

@@ -58,7 +58,7 @@ class World:
     def make(self, keep: str | None = None) -> RunFolder:
         """The first command."""
         poses = self.root / "poses.txt"
-        return run(self.drive, self.run, poses=poses, camera="image_2", keep=keep, threads=1)
+        return run(self.drive, self.run, poses=poses, camera="image_2", keep=keep, threads=1).folder
 
     def fresh(self) -> Path:
         """The same results, made at once in another folder."""
