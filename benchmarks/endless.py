@@ -36,9 +36,9 @@ from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry, run_render
 
-STAGES = ("read", "odometry", "classify", "render", "judge", "alone")
+STAGES = ("read", "odometry", "classify", "render", "evaluate", "alone")
 EVERY = 10  # sweeps from image to image
-END = 100  # sweeps at both ends that are judged
+END = 100  # sweeps at both ends that are evaluated
 FARTHEST, WRONG = 80.0, 0.05  # metres; share of the depth
 MOVING = 0.1  # metres a second
 FIRST_MOVING_CLASS = 252  # of SemanticKITTI
@@ -125,7 +125,7 @@ def render(options: argparse.Namespace, run: RunFolder) -> None:
     run_render(run, list(recording_of(options).cameras.values()))
 
 
-def judge(options: argparse.Namespace, run: RunFolder) -> dict[str, Any]:
+def evaluate(options: argparse.Namespace, run: RunFolder) -> dict[str, Any]:
     """Figures of both ends."""
     recording = recording_of(options)
     result: dict[str, Any] = {}
@@ -170,7 +170,7 @@ def depth(recording: EndlessRecording, run: RunFolder, first: int) -> dict[str, 
     stream, drive = recording.cameras["image_2"], recording.drive
     trajectory, errors = run.trajectory(), []
     begin, end = drive.times[first], drive.times[first + END - 1]
-    # Their own poses: what is judged is depth, not where the vehicle is.
+    # Their own poses: what is evaluated is depth, not where the vehicle is.
     inside = (stream.times >= begin) & (stream.times <= end) & trajectory.covers(stream.times)
     for k in np.flatnonzero(inside):
         made = read_depth(run.path / "depth" / f"{stream.names[k]}.png", 256.0)
@@ -186,7 +186,7 @@ def depth(recording: EndlessRecording, run: RunFolder, first: int) -> dict[str, 
     }
 
 
-_STAGES = dict(zip(STAGES, (read, odometry, classify, render, judge, alone), strict=True))
+_STAGES = dict(zip(STAGES, (read, odometry, classify, render, evaluate, alone), strict=True))
 
 
 if __name__ == "__main__":

@@ -43,7 +43,7 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry
 from docdepth.pipeline.convert import INSIDE, write_release
 from docdepth.synthetic import write_drive
-from docdepth.tuning import Judge, read_trials, tune
+from docdepth.tuning import Objective, read_trials, tune
 
 WINDOWS = {"00": (4390, 4530), "01": (150, 250), "02": (860, 950), "05": (2350, 2670),
            "07": (630, 820)}  # fmt: skip
@@ -116,7 +116,9 @@ def ablation(args: argparse.Namespace) -> Table:
         if length < 50:
             print(f"{drive} is only {length:.0f} m long", file=sys.stderr)
         out = args.out / "ablation" / f"{name}_trials"
-        for outcome in tune([made.path], [Judge("labels", drive)], trials, out, 1, args.threads):
+        for outcome in tune(
+            [made.path], [Objective("labels", drive)], trials, out, 1, args.threads
+        ):
             cells = [number(outcome.metric(key), 2) for key in ("sa", "da")]
             f1 = number(outcome.metric("f1"), 4)
             rows.append((name, f"{length:.0f}", outcome.name, *cells, f1))

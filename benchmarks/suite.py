@@ -44,7 +44,7 @@ from docdepth.geometry.se3 import inverse
 from docdepth.io.atomic import write_atomically
 from docdepth.io.run_folder import stage_key
 from docdepth.render.scene import Scene, render_depth
-from docdepth.tuning import Judge, Trial, read_trials, tune
+from docdepth.tuning import Objective, Trial, read_trials, tune
 from docdepth.tuning.results import metric_of
 
 
@@ -75,8 +75,8 @@ def label_rows(
     cell: Cell, trials: list[Trial], out: Path, jobs: int, threads: int
 ) -> dict[str, Row]:
     """Metrics of the classes of each trial."""
-    run, judge = cell.run(), Judge("labels", cell.sequence())
-    outcomes = tune([run.path], [judge], trials, out / cell.name, jobs, threads)
+    run, objective = cell.run(), Objective("labels", cell.sequence())
+    outcomes = tune([run.path], [objective], trials, out / cell.name, jobs, threads)
     return {outcome.name: _row(outcome.metrics, LABEL_COLUMNS) for outcome in outcomes}
 
 
@@ -178,13 +178,13 @@ for _key, _heading in (
 DEPTH_COLUMNS = [
     Column("density_on_surfaces", "density on surfaces %", 1),
     Column("all.mae", "MAE m", 3, -1),
-    Column("all.shifts", "MAE in shifts", 2, -1),
+    Column("all.edge_displacement", "edge displacement px", 2, -1),
     Column("all.too_near", "too near %", 2, -1),
     Column("all.too_far", "too far %", 2, -1),
     Column("interior.mae", "interior MAE m", 3, -1),
     Column("interior.rmse", "interior RMSE m", 3, -1),
     Column("dynamic.density", "moving: density %", 1),
-    Column("dynamic.shifts", "moving: MAE in shifts", 2, -1),
+    Column("dynamic.edge_displacement", "moving: edge displacement px", 2, -1),
     Column("dynamic_interior.rmse", "moving: interior RMSE m", 3, -1),
 ]
 

@@ -5,9 +5,9 @@
 The rig carries two XT-32: one upright, one beside the camera and rolled by 90 degrees. Rows:
 
 - `first LiDAR`: docdepth sees the first LiDAR alone, from odometry to depth; sweeps of the second
-  judge its maps;
+  evaluate its maps;
 - `rig, second left out`: docdepth sees both, and the second is left out of the maps only;
-- `exact depth`: what the exact depth would get from this judge;
+- `exact depth`: what the exact depth would get from this evaluation;
 - `first LiDAR, every pixel`: its maps against exact depth up to 80 m; clear are those farther than
   3 pixels from a depth edge.
 """
@@ -27,7 +27,7 @@ from results import parser_of, publish, script
 from docdepth import run
 from docdepth.config import parameters
 from docdepth.evaluation.depth_metrics import PixelSums, RegionErrors
-from docdepth.evaluation.held_out import HeldOutResult, JudgedView, evaluate_held_out
+from docdepth.evaluation.held_out import HeldOutResult, HeldOutView, evaluate_held_out
 from docdepth.evaluation.left_out import LeftOut
 from docdepth.evaluation.runs import evaluate_depth
 from docdepth.evaluation.tables import Table, number
@@ -106,24 +106,24 @@ def _write_second(single: Path, rig: Path, first: Drive, second: Drive, index: i
         values.tofile(rig / kind / f"{index:06d}.{suffix}")
 
 
-def with_second(made: Path, rig: Path, judged: Path) -> Path:
+def with_second(made: Path, rig: Path, evaluated: Path) -> Path:
     """The run of the first LiDAR with the sweeps of the second in its frames, to be left out."""
     source, other = RunFolder.open(made), RunFolder.open(rig)
-    if (judged / "run.yaml").is_file():
-        return judged
-    (judged / "frames").mkdir(parents=True, exist_ok=True)
+    if (evaluated / "run.yaml").is_file():
+        return evaluated
+    (evaluated / "frames").mkdir(parents=True, exist_ok=True)
     for name in ("traj_odometry.ply", "calib.json", "calib_lidar_ref_cam.txt", "tracks.csv"):
         if (made / name).is_file():
-            shutil.copy(made / name, judged / name)
-    shutil.copy(other.sensors_path, judged / "sensors.npz")
+            shutil.copy(made / name, evaluated / name)
+    shutil.copy(other.sensors_path, evaluated / "sensors.npz")
     for index in range(len(source.trajectory())):
         own, all_points = source.frame(index), other.frame(index)
         assert all_points.sensor_rig is not None
         second = all_points.select(all_points.sensor_rig.index == 1)
-        write_frame(RunFolder(judged).frame_path(index), joined(own, second))
+        write_frame(RunFolder(evaluated).frame_path(index), joined(own, second))
     kept = RunManifest(cameras=source.cameras, parameters=source.parameters)
-    (judged / "run.yaml").write_bytes(kept.text())
-    return judged
+    (evaluated / "run.yaml").write_bytes(kept.text())
+    return evaluated
 
 
 def joined(own: LidarFrame, second: LidarFrame) -> LidarFrame:
@@ -141,7 +141,7 @@ def joined(own: LidarFrame, second: LidarFrame) -> LidarFrame:
 
 
 def row(name: str, result: HeldOutResult) -> tuple[str, ...]:
-    """Figures of a judgement: all returns, and clear ones."""
+    """Figures of an evaluation: all returns, and clear ones."""
     distances = (result.point_to_point, result.clear_point_to_point)
     return (name, *cells(result.all, distances[0]), *cells(result.clear, distances[1]))
 
@@ -152,7 +152,7 @@ def cells(region: RegionErrors, point_to_point: float = math.nan) -> list[str]:
     return [f"{region.pixels:,}", number(region.density, 1), *figures]
 
 
-class ExactJudge:
+class ExactDepthErrors:
     """The errors of exact depth in the views of the second LiDAR."""
 
     def __init__(self, drive: Drive, T_camera_lidar: NDArray[np.float64]) -> None:
@@ -161,7 +161,7 @@ class ExactJudge:
         T_camera_second[:3, 3] = 0
         self._T_lidar_camera = T_lidar_second() @ inverse(T_camera_second)
 
-    def look(self, view: JudgedView) -> None:
+    def look(self, view: HeldOutView) -> None:
         """Compare a view."""
         drive, time = self._drive, int(self._drive.times[view.index])
         T_world_camera = drive.poses[view.index] @ self._T_lidar_camera
@@ -180,7 +180,7 @@ HEADER = ("depth of", *FIGURES, *(f"clear: {figure}" for figure in FIGURES))
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Print a table, a row for each judgement."""
+    """Print a table, a row for each evaluation."""
     parser = parser_of(__doc__)
     parser.add_argument("drives", type=Path, help="folder of the drives; missing ones are made")
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the runs")
@@ -195,12 +195,12 @@ def main(arguments: list[str] | None = None) -> None:
         sequences = write_rig(args.drives / f"rig_{name}", name, args.frames, args.seed)
         drive = Drive(scene(name, args.seed), sensor(SENSOR), args.frames, args.seed)
         for preset in args.presets:
-            rows = judge(sequences, args.out / f"{name}_{preset}", preset, args.every, drive)
+            rows = evaluate(sequences, args.out / f"{name}_{preset}", preset, args.every, drive)
             tables.append(Table(f"{name}, {preset}", HEADER, tuple(rows)))
     publish(tables, args.results)
 
 
-def judge(
+def evaluate(
     sequences: tuple[Path, Path], out: Path, preset: str, every: int, drive: Drive
 ) -> list[tuple[str, ...]]:
     """The rows of one scene and preset."""
@@ -209,9 +209,9 @@ def judge(
         if not (out / kind / "depth").is_dir():
             run(sequence, out / kind, parameters(preset), camera="image_2")
         runs.append(out / kind)
-    judged, left_out = with_second(*runs, out / "judged"), LeftOut(lidar=1)
-    best = ExactJudge(drive, RunFolder.open(judged).calibration()[1])
-    own = evaluate_held_out(judged, every, left_out=left_out, look=best.look)
+    evaluated, left_out = with_second(*runs, out / "evaluated"), LeftOut(lidar=1)
+    best = ExactDepthErrors(drive, RunFolder.open(evaluated).calibration()[1])
+    own = evaluate_held_out(evaluated, every, left_out=left_out, look=best.look)
     rig = evaluate_held_out(runs[1], every, left_out=left_out)
     rows = [row("first LiDAR", own), row("rig, second left out", rig), best.row()]
     exact = evaluate_depth(runs[0], sequences[0])

@@ -24,8 +24,8 @@ from docdepth.synthetic import sensors, write_drive
 
 CAMERA = "image_2"
 HEADER = ("scene", "sensor", "poses: mm a sweep", "largest", "end to end m", "DA %", "precision",
-          "IoU", "density on surfaces %", "shifts", "too near %", "too far %", "interior RMSE m",
-          "moving: shifts", "density %")  # fmt: skip
+          "IoU", "density on surfaces %", "edge displacement px", "too near %", "too far %",
+          "interior RMSE m", "moving: edge displacement px", "density %")  # fmt: skip
 
 
 def measured(drive: Path, made: Path, exact_poses: bool) -> tuple[str, ...]:
@@ -40,9 +40,12 @@ def measured(drive: Path, made: Path, exact_poses: bool) -> tuple[str, ...]:
         number(labels.da, 2),
         *(number(value, 3) for value in (labels.precision, labels.iou)),
         number(depth.density_on_surfaces, 1),
-        *(number(value, 2) for value in (depth.all.shifts, depth.all.too_near, depth.all.too_far)),
+        *(
+            number(value, 2)
+            for value in (depth.all.edge_displacement, depth.all.too_near, depth.all.too_far)
+        ),
         number(depth.interior.rmse, 3),
-        number(depth.dynamic.shifts, 2),
+        number(depth.dynamic.edge_displacement, 2),
         number(depth.dynamic.density, 1),
     )
 

@@ -82,15 +82,16 @@ PointMap rows_of(const std::optional<Array<float>>& rows, const PointMap& points
 std::unique_ptr<MeshFrame> make_mesh_frame(
     const Array<float>& points, const Array<std::uint16_t>& classid,
     const Array<std::uint32_t>& triangles, const Array<std::uint8_t>& discontinuity,
-    const Array<std::uint32_t>& isolated, float isolated_angle, const Array<std::uint16_t>& owner,
-    const Array<float>& motion, const std::optional<Array<float>>& time_offset,
-    const std::optional<Array<float>>& displacement, const std::optional<Array<float>>& ray_origins,
+    const Array<std::uint32_t>& isolated, float isolated_angle,
+    const Array<std::uint16_t>& object_index, const Array<float>& motion,
+    const std::optional<Array<float>>& time_offset, const std::optional<Array<float>>& displacement,
+    const std::optional<Array<float>>& ray_origins,
     const std::optional<Array<std::uint8_t>>& drawn) {
   const PointMap map = as_points(points);
   const Points from = rows_of(ray_origins, map, "ray_origins");
   const Points moved = rows_of(displacement, map, "displacement");
   const std::uint16_t* classes = as_column(classid, map.rows(), "classid");
-  const std::uint16_t* owners = as_column(owner, map.rows(), "owner");
+  const std::uint16_t* object_indices = as_column(object_index, map.rows(), "object_index");
   const float* times = time_offset ? as_column(*time_offset, map.rows(), "time_offset") : nullptr;
   if (motion.ndim() != 2 || motion.shape(1) != 4)
     throw std::invalid_argument("motion must be a float32 array of shape (objects, 4)");
@@ -99,8 +100,8 @@ std::unique_ptr<MeshFrame> make_mesh_frame(
   for (py::ssize_t k = 0; k < motion.shape(0); ++k)
     motions.push_back({{motion.at(k, 0), motion.at(k, 1), motion.at(k, 2)}, motion.at(k, 3)});
   std::uint16_t last = 0;
-  for (py::ssize_t i = 0; i < map.rows(); ++i) last = std::max(last, owners[i]);
-  in_range(last, 0, double(motions.size()), "an owner");
+  for (py::ssize_t i = 0; i < map.rows(); ++i) last = std::max(last, object_indices[i]);
+  in_range(last, 0, double(motions.size()), "an object_index");
   if (triangles.ndim() != 2 || triangles.shape(1) != 3)
     throw std::invalid_argument("triangles must be a uint32 array of shape (M, 3)");
   const py::ssize_t count = triangles.shape(0);
@@ -114,7 +115,7 @@ std::unique_ptr<MeshFrame> make_mesh_frame(
   const Points all = map;
   return std::make_unique<MeshFrame>(
       MeshParts{all, corners, jumps, std::size_t(count), alone, std::size_t(isolated.size()),
-                isolated_angle, classes, owners, motions, shown, times,
+                isolated_angle, classes, object_indices, motions, shown, times,
                 displacement ? &moved : nullptr, ray_origins ? &from : nullptr});
 }
 
@@ -217,8 +218,9 @@ void bind_render(py::module_& m) {
                              [](const Frame& frame) { return frame.dynamic_points.size(); });
   py::class_<MeshFrame>(m, "MeshFrame")
       .def(py::init(&make_mesh_frame), "points"_a, "classid"_a, "triangles"_a, "discontinuity"_a,
-           "isolated"_a, "isolated_angle"_a, "owner"_a, "motion"_a, "time_offset"_a = py::none(),
-           "displacement"_a = py::none(), "ray_origins"_a = py::none(), "drawn"_a = py::none());
+           "isolated"_a, "isolated_angle"_a, "object_index"_a, "motion"_a,
+           "time_offset"_a = py::none(), "displacement"_a = py::none(),
+           "ray_origins"_a = py::none(), "drawn"_a = py::none());
   py::class_<Rays>(m, "Rays")
       .def(py::init(&make_rays), "points"_a, "normals"_a, "ray_origins"_a = py::none())
       .def("query_visibility", &query_visibility, "points"_a);

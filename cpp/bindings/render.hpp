@@ -109,11 +109,11 @@ using ObjectOf =
 
 inline std::vector<ObjectView> as_sightings(const std::vector<SightingOf>& sightings) {
   std::vector<ObjectView> result;
-  for (const auto& [frame, owner, pose, sweep] : sightings) {
-    const auto owners = static_cast<double>(present(frame).dynamic_meshes.size());
-    in_range(owner, 1, owners, "the number of an object in its frame");
+  for (const auto& [frame, object_index, pose, sweep] : sightings) {
+    const auto objects = static_cast<double>(present(frame).dynamic_meshes.size());
+    in_range(object_index, 1, objects, "the number of an object in its frame");
     in_range(sweep, 0, kMaxRows, "the number of a sweep");
-    result.push_back({{frame, as_pose(pose)}, std::uint32_t(owner), sweep});
+    result.push_back({{frame, as_pose(pose)}, std::uint32_t(object_index), sweep});
   }
   return result;
 }

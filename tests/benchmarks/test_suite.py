@@ -67,11 +67,11 @@ def test_ip_basic_leaves_far_pixels_out_and_nothing_empty() -> None:
 def test_table_has_the_mean_and_the_worst_of_each_metric() -> None:
     from suite import Column, table
 
-    columns = [Column("f1", "F1", 2), Column("shifts", "shifts", 1, -1)]
+    columns = [Column("f1", "F1", 2), Column("edge_displacement", "edge_displacement", 1, -1)]
     cells = {
-        "a": {"t": {"f1": 0.9, "shifts": 1.0}},
-        "b": {"t": {"f1": 0.7, "shifts": 2.0}},
-        "c": {"t": {"f1": float("nan"), "shifts": 3.0}},
+        "a": {"t": {"f1": 0.9, "edge_displacement": 1.0}},
+        "b": {"t": {"f1": 0.7, "edge_displacement": 2.0}},
+        "c": {"t": {"f1": float("nan"), "edge_displacement": 3.0}},
     }
     rows = table("title", columns, cells).rows
     assert rows[0] == ("mean", "t", "0.80", "2.0")
@@ -93,13 +93,15 @@ def test_suite_of_two_tiny_cells(tmp_path, monkeypatch) -> None:
     depth = suite.main([*tiny, "--depth", "--images", "1"])
     for rows in depth.values():
         assert set(rows) == {t.name for t in suite.DEPTH_TRIALS} | {suite.IP_BASIC}
-        assert rows["default"]["all.shifts"] < rows[suite.IP_BASIC]["all.shifts"]
+        assert (
+            rows["default"]["all.edge_displacement"] < rows[suite.IP_BASIC]["all.edge_displacement"]
+        )
     own = suite.main([*tiny, "--own", "--images", "1"])
     for cell, rows in own.items():
         assert set(rows) == {"default"}
         # What stands is drawn from the same points, whatever else the classes say.
-        assert rows["default"]["all.shifts"] == pytest.approx(
-            depth[cell]["default"]["all.shifts"], abs=0.2
+        assert rows["default"]["all.edge_displacement"] == pytest.approx(
+            depth[cell]["default"]["all.edge_displacement"], abs=0.2
         )
         assert rows["default"] != depth[cell]["default"]
     # Nothing is computed again: not even the scene is built.

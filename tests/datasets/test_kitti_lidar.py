@@ -102,7 +102,7 @@ def test_depth_is_better_than_as_if_seen_from_the_origin(drive, tmp_path):
         run_classify(run)
         run_render(run, data.cameras["image_2"])
         error[way] = evaluate_depth(run.path, drive / "depth_2").all
-    assert error["lasers"].shifts < 0.85 * error["origin"].shifts
+    assert error["lasers"].edge_displacement < 0.85 * error["origin"].edge_displacement
     assert error["lasers"].too_far < 0.85 * error["origin"].too_far
 
 

@@ -12,7 +12,7 @@ import pytest
 from docdepth.errors import DatasetError
 from docdepth.evaluation import DepthEvaluation, LabelEvaluation
 from docdepth.evaluation.error_page import WORST, DepthPage, HeldOutPage, LabelPage
-from docdepth.evaluation.held_out import JudgedView
+from docdepth.evaluation.held_out import HeldOutView
 from docdepth.visualization.pictures import (
     FALSE_COLOR,
     FOUND_COLOR,
@@ -68,7 +68,7 @@ def test_the_worst_depth_maps_come_first_with_their_errors_in_colour(tmp_path) -
     assert np.abs(rows[38] - TOO_FAR_COLOR).max() < 60
     assert (rows[22:36] > 230).all(), "right is white"
     assert "depth &lt;here&gt;" in text
-    assert "MAE in shifts" in text
+    assert "edge displacement px" in text
     assert "irmse" in text
     assert "http" not in text.replace("http://www.w3.org", ""), "the page needs nothing else"
     for name in ("019", "000"):
@@ -81,7 +81,7 @@ def test_returns_are_drawn_where_they_are_with_the_error_of_their_own_pixel(tmp_
     truth[10, 15], truth[10, 40], truth[30, 20], truth[30, 50] = 20, 26, 16, 90
     flat = np.zeros((40, 60), np.uint16)
     page = HeldOutPage("left out", 80.0, "held-out sweeps", None, np.zeros(3, np.int64))
-    page.look(JudgedView(2, "7", depth, truth, flat, flat > 0))
+    page.look(HeldOutView(2, "7", depth, truth, flat, flat > 0))
     page.write(tmp_path / "page.html", [], ["the poses jitter"])
     text = (tmp_path / "page.html").read_text()
     (caption,) = captions_of(text)
@@ -91,7 +91,7 @@ def test_returns_are_drawn_where_they_are_with_the_error_of_their_own_pixel(tmp_
     assert (errors[9:12, 14:17] > 180).all(), "a right return is a white square"
     assert errors[10, 40, 2] - errors[10, 40, 0] > 100, "6 m too near is orange"
     assert errors[30, 20, 0] - errors[30, 20, 2] > 100, "4 m too far is blue"
-    assert errors[30, 50].max() < 120, "beyond the range nothing is judged"
+    assert errors[30, 50].max() < 120, "beyond the range nothing is evaluated"
 
 
 def sweep(name: str, labelled: list[int], moving: list[int], unlabelled: tuple[int, ...] = ()):

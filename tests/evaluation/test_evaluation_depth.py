@@ -137,7 +137,7 @@ def compare_by_hand(
         "compared": len(absolute),
         "mae": np.mean(absolute),
         "rmse": math.sqrt(np.mean(squared)),
-        "shifts": np.sum(own) / np.sum(shift),
+        "edge_displacement": np.sum(own) / np.sum(shift),
         "too_near": 100 * near / len(absolute),
         "too_far": 100 * far / len(absolute),
     }
@@ -224,7 +224,12 @@ def test_nothing_to_compare_is_nan_not_zero() -> None:
     evaluation.add(np.full((3, 4), NAN), np.zeros((3, 4), np.float32))
     result = evaluation.result()
     assert result.density == 0.0
-    for value in (result.density_on_surfaces, result.kitti.mae, result.all.mae, result.all.shifts):
+    for value in (
+        result.density_on_surfaces,
+        result.kitti.mae,
+        result.all.mae,
+        result.all.edge_displacement,
+    ):
         assert math.isnan(value)
     assert math.isnan(result.point_to_point)
 

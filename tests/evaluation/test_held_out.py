@@ -87,7 +87,7 @@ def test_on_the_command_line(finished):
     assert result.exit_code == 0, result.output
     printed = json.loads(result.stdout)
     assert printed["sweeps"] == 1
-    assert printed["all"]["shifts"] is None
+    assert printed["all"]["edge_displacement"] is None
     assert printed["all"]["too_near"] == evaluate_held_out(finished, every=7).all.too_near
 
 
@@ -115,7 +115,7 @@ def test_what_a_wrong_camera_adds_is_said(finished, monkeypatch):
 
 
 def test_a_lost_map_is_no_reason_to_lose_the_errors(run):
-    """Returns judge without the maps; the camera alone needs them."""
+    """Returns are compared without the maps; the camera alone needs them."""
     next(iter((run / "depth").glob("*.png"))).unlink()
     result = CliRunner().invoke(app, ["evaluate", "held-out", str(run), "--every", "7", "--json"])
     assert result.exit_code == 0, result.output

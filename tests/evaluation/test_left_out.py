@@ -178,19 +178,19 @@ def test_points_between_the_sides_of_an_edge_are_those_in_its_triangles(rig):
 
 
 def test_exact_depth_passes_as_clear(rig):
-    """What the judge calls clear must fit the truth; of all returns some are metres off."""
-    from two_lidars import SENSOR, ExactJudge
+    """What the evaluation calls clear must fit the truth; of all returns some are metres off."""
+    from two_lidars import SENSOR, ExactDepthErrors
 
     from docdepth.synthetic import Drive, scene, sensor
 
     drive = Drive(scene("city", 1), sensor(SENSOR), FRAMES, 1)
-    judge = ExactJudge(drive, RunFolder.open(rig).calibration()[1])
-    evaluate_held_out(rig, every=2, left_out=SECOND, look=judge.look)
-    assert judge._sums.errors().rmse > 0.5
-    assert judge._sums.errors(interior=1).rmse < 0.1
+    exact = ExactDepthErrors(drive, RunFolder.open(rig).calibration()[1])
+    evaluate_held_out(rig, every=2, left_out=SECOND, look=exact.look)
+    assert exact._sums.errors().rmse > 0.5
+    assert exact._sums.errors(interior=1).rmse < 0.1
 
 
-def test_half_of_the_beams_judge_the_others():
+def test_half_of_the_beams_evaluate_the_others():
     """Bands of elevation are the rings of a LiDAR, and a laser of KITTI's is a beam."""
     from docdepth.synthetic import Drive, scene, sensor
 
@@ -211,7 +211,7 @@ def test_half_of_the_beams_judge_the_others():
 
 
 def test_left_out_beams_are_not_drawn(rig):
-    """Of the judged sweep, the others are whole."""
+    """Of the evaluated sweep, the others are whole."""
     folder = RunFolder.open(rig)
     beams = LeftOut(beams=3)
     frame = frame_of(rig, 3)
@@ -233,7 +233,7 @@ def test_left_out_beams_are_not_drawn(rig):
 
 
 def test_left_out_sectors_are_every_second_one(rig):
-    """Of the judged sweep alone, and of the LiDAR that judges."""
+    """Of the evaluated sweep alone, and of the LiDAR that is left out."""
     sectors = LeftOut(sectors=30)
     frame = frame_of(rig, 3)
     rows = sectors.rows(frame)

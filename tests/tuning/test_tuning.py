@@ -19,7 +19,7 @@ from docdepth.errors import CalibrationError, ConfigError, DatasetError, RunErro
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.evaluation.runs import evaluate_depth, evaluate_labels
 from docdepth.pipeline.run import run as run_all
-from docdepth.tuning import Judge, Outcome, Trial, grid, means, plot, read_trials, tune
+from docdepth.tuning import Objective, Outcome, Trial, grid, means, plot, read_trials, tune
 
 pytest.importorskip("embreex")
 
@@ -113,19 +113,19 @@ def test_a_trial_is_scored_like_a_plain_run_with_its_parameters(run, drive, tmp_
     plain = run_all(drive, tmp_path / "plain", parameters(settings=ALL.settings)).path
     of_labels = Trial("all", {name: ALL.settings[name] for name in PATHS})
     expected = [
-        (Judge("labels", drive), of_labels, evaluate_labels(plain, drive)),
-        (Judge("depth", drive), ALL, evaluate_depth(plain, drive)),
-        (Judge(every=2), ALL, evaluate_held_out(plain, 2)),
+        (Objective("labels", drive), of_labels, evaluate_labels(plain, drive)),
+        (Objective("depth", drive), ALL, evaluate_depth(plain, drive)),
+        (Objective(every=2), ALL, evaluate_held_out(plain, 2)),
     ]
-    for judge, trial, result in expected:
-        base, found = tune([run], [judge], [BASE, trial], tmp_path / judge.by)
+    for objective, trial, result in expected:
+        base, found = tune([run], [objective], [BASE, trial], tmp_path / objective.by)
         assert found.metrics == json.loads(json.dumps(result.as_dict()))
         assert found.metrics != base.metrics
     assert contents(run) == before
 
 
 @pytest.mark.parametrize(
-    ("judge", "settings", "stages"),
+    ("objective", "settings", "stages"),
     [
         ("labels", {}, []),
         ("labels", {"odometry.voxel_size": 1.5}, ["odometry", "classify"]),
@@ -136,63 +136,63 @@ def test_a_trial_is_scored_like_a_plain_run_with_its_parameters(run, drive, tmp_
     ],
 )
 def test_only_what_its_parameters_change_is_made_again(
-    run, drive, tmp_path, made, judge, settings, stages
+    run, drive, tmp_path, made, objective, settings, stages
 ) -> None:
-    truth = None if judge == "held-out" else drive
-    tune([run], [Judge(judge, truth)], [Trial("a", settings)], tmp_path)
+    truth = None if objective == "held-out" else drive
+    tune([run], [Objective(objective, truth)], [Trial("a", settings)], tmp_path)
     assert made == stages
 
 
 def test_an_interrupted_search_resumes(run, drive, tmp_path, made, monkeypatch) -> None:
-    judge, out, measure = Judge("labels", drive), tmp_path / "out", Judge.measure
-    whole = tune([run], [judge], [BASE, NARROW], tmp_path / "whole")
+    objective, out, measure = Objective("labels", drive), tmp_path / "out", Objective.measure
+    whole = tune([run], [objective], [BASE, NARROW], tmp_path / "whole")
     made.clear()
 
-    def interrupted(judge, trial, threads=0):
+    def interrupted(objective, trial, threads=0):
         if trial.name == "narrow":
             raise KeyboardInterrupt
-        return measure(judge, trial, threads)
+        return measure(objective, trial, threads)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Judge, "measure", interrupted)
+        patch.setattr(Objective, "measure", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            tune([run], [judge], [BASE, NARROW], out)
+            tune([run], [objective], [BASE, NARROW], out)
     assert made == ["classify"]
-    assert tune([run], [judge], [BASE, NARROW], out) == whole
+    assert tune([run], [objective], [BASE, NARROW], out) == whole
     assert made == ["classify"], "the trial goes on where it stopped"
     assert not (out / "1_run" / ".docdepth-trials").exists()
     # Another value under the same name is another trial, and a damaged score is made again.
-    tune([run], [judge], [Trial("narrow", {"dynamics.window": 3})], out)
+    tune([run], [objective], [Trial("narrow", {"dynamics.window": 3})], out)
     assert made == ["classify"] * 2
     (out / "1_run" / "narrow.json").write_text("{")
-    assert tune([run], [judge], [BASE, NARROW], out) == whole
+    assert tune([run], [objective], [BASE, NARROW], out) == whole
 
 
 def test_a_score_belongs_to_its_truth(run, drive, tmp_path) -> None:
     truth = Path(shutil.copytree(drive / "labels", tmp_path / "truth"))
-    (first,) = tune([run], [Judge("labels", truth)], [BASE], tmp_path)
+    (first,) = tune([run], [Objective("labels", truth)], [BASE], tmp_path)
     sweep = truth / "000002.label"
     sweep.write_bytes(bytes(len(sweep.read_bytes())))
-    (second,) = tune([run], [Judge("labels", truth)], [BASE], tmp_path)
+    (second,) = tune([run], [Objective("labels", truth)], [BASE], tmp_path)
     assert first.metrics["static"] > second.metrics["static"]
-    (third,) = tune([run], [Judge(every=1)], [BASE], tmp_path)
+    (third,) = tune([run], [Objective(every=1)], [BASE], tmp_path)
     assert third.metrics["sweeps"] == 3
 
 
 def test_what_trials_share_must_be_up_to_date(own, drive, tmp_path) -> None:
     (own / "labels" / "000002.label").unlink()
     with pytest.raises(RunError, match=r"classify of .* is incomplete"):
-        tune([own], [Judge()], [BEHIND], tmp_path / "out")
+        tune([own], [Objective()], [BEHIND], tmp_path / "out")
     # Trials that classify again do not share it.
-    tune([own], [Judge("labels", drive)], [NARROW], tmp_path / "out")
+    tune([own], [Objective("labels", drive)], [NARROW], tmp_path / "out")
     (own / "frames" / "frame_000002.ply").unlink()
     with pytest.raises(RunError, match=r"odometry of .* is incomplete"):
-        tune([own], [Judge("labels", drive)], [NARROW], tmp_path / "out")
+        tune([own], [Objective("labels", drive)], [NARROW], tmp_path / "out")
 
 
 def test_trials_win_over_the_own_settings_of_a_camera(own, drive, tmp_path) -> None:
     def depth(trial: Trial, name: str):
-        return tune([own], [Judge("depth", drive)], [trial], tmp_path / name)[0].metrics["all"]
+        return tune([own], [Objective("depth", drive)], [trial], tmp_path / name)[0].metrics["all"]
 
     before, behind = depth(BASE, "a"), depth(BEHIND, "b")
     cli("render", own, "--camera", "image_2", "--set", "render.behind=0")
@@ -213,24 +213,24 @@ def test_trials_win_over_the_own_settings_of_a_camera(own, drive, tmp_path) -> N
 )
 def test_impossible_parameters_are_refused(run, drive, tmp_path, settings, words) -> None:
     with pytest.raises(ConfigError, match=words):
-        tune([run], [Judge("labels", drive)], [BASE, Trial("a", settings)], tmp_path / "out")
+        tune([run], [Objective("labels", drive)], [BASE, Trial("a", settings)], tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_impossible_searches_are_refused_before_anything_is_made(run, drive, tmp_path, own) -> None:
-    out, labels = tmp_path / "out", Judge("labels", drive)
+    out, labels = tmp_path / "out", Objective("labels", drive)
     for names in (["a/b"], [".."], ["a", "a"]):
         with pytest.raises(ConfigError, match="name"):
             tune([run], [labels], [Trial(name, {}) for name in names], out)
     with pytest.raises(ConfigError, match="lies in the run"):
         tune([run], [labels], [BASE], run / "tuned")
     with pytest.raises(DatasetError, match="not there"):
-        tune([run], [Judge("depth", tmp_path / "no")], [BASE], out)
+        tune([run], [Objective("depth", tmp_path / "no")], [BASE], out)
     with pytest.raises(RunError, match="image_9"):
-        tune([run], [Judge(camera="image_9")], [BASE], out)
+        tune([run], [Objective(camera="image_9")], [BASE], out)
     (own / "calib.json").unlink()
     with pytest.raises(CalibrationError):
-        tune([own], [Judge()], [BASE], out)
+        tune([own], [Objective()], [BASE], out)
     assert not out.exists()
 
 
@@ -274,7 +274,7 @@ def test_without_truth_left_out_sweeps_score(run, tmp_path) -> None:
     ("words", "message"),
     [
         (["--vary", "render.behind=-1"], "--vary: render.behind = -1"),
-        (["--labels", "d", "--held-out", "2"], "choose one judge"),
+        (["--labels", "d", "--held-out", "2"], "choose one objective"),
         (["--labels", "d", "--camera", "image_2"], "leave --camera out"),
         ([], "say what to vary"),
     ],

@@ -85,7 +85,7 @@ class BoxBackground {
       : camera_(camera), box_(box), rays_(rays) {}
 
   /// @param is_world  1 for pixels behind a box before this one at which rays ended on the world
-  void empty(int from_u, int from_v, const std::vector<std::uint16_t>& owners,
+  void empty(int from_u, int from_v, const std::vector<std::uint16_t>& shown_objects,
              std::vector<std::uint8_t>& is_world, std::vector<float>& depth) const {
     const PixelBounds& bounds = box_.bounds();
     constexpr float kMiddle = float(kWayCell - 1) / 2;
@@ -94,7 +94,7 @@ class BoxBackground {
     for (int v = from_v; v < std::min(from_v + kWayCell, bounds.end_v); ++v)
       for (int u = from_u; u < std::min(from_u + kWayCell, bounds.end_u); ++u) {
         const std::size_t i = std::size_t(v) * camera_.width + u;
-        if (!(depth[i] > 0) || (!owners.empty() && owners[i] != 0)) continue;
+        if (!(depth[i] > 0) || (!shown_objects.empty() && shown_objects[i] != 0)) continue;
         const Vector ray = ray_of(camera_, float(u), float(v));
         if (!box_.inside(ray).ends_before(depth[i])) continue;
         if (!is_empty)
@@ -128,8 +128,8 @@ class BoxBackground {
 }  // namespace
 
 void mask_unobserved_background(const Camera& camera, const MeshScene& scene,
-                                const std::vector<std::uint16_t>& owners, std::vector<float>& depth,
-                                int threads) {
+                                const std::vector<std::uint16_t>& shown_objects,
+                                std::vector<float>& depth, int threads) {
   if (scene.boxes.empty()) return;
   const ShutterRays rays(scene.shutter_rays);
   std::vector<std::uint8_t> is_world(depth.size(), 0);
@@ -142,7 +142,7 @@ void mask_unobserved_background(const Camera& camera, const MeshScene& scene,
     parallel_for(rows, 4, threads, [&](std::size_t begin, std::size_t end) {
       for (int row = int(begin); row < int(end); ++row)
         for (int u = bounds.begin_u; u < bounds.end_u; u += kWayCell)
-          pixels.empty(u, bounds.begin_v + row * kWayCell, owners, is_world, depth);
+          pixels.empty(u, bounds.begin_v + row * kWayCell, shown_objects, is_world, depth);
     });
   }
 }

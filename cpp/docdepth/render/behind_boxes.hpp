@@ -22,11 +22,12 @@ namespace docdepth {
 ///
 /// The second is not enough: the camera stands beside the sensor, and the object moves between the
 /// ray and the image.
-/// @param owners  number of the dynamic object that each pixel shows, from 1 on; 0 for none; may be
+/// @param shown_objects  number of the dynamic object that each pixel shows, from 1 on; 0 for none;
+/// may be
 ///   empty if the scene has none
 /// @param depth   of the image [m]; NaN for none
 void mask_unobserved_background(const Camera& camera, const MeshScene& scene,
-                                const std::vector<std::uint16_t>& owners, std::vector<float>& depth,
-                                int threads);
+                                const std::vector<std::uint16_t>& shown_objects,
+                                std::vector<float>& depth, int threads);
 
 }  // namespace docdepth

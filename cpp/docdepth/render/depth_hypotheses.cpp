@@ -25,7 +25,7 @@ constexpr float kSureScore = 1000.0f;
 /// The same for a surface. It takes more, since a ray may end next to a gap.
 constexpr float kSureSurfaceScore = 1350.0f;
 /// One ray whose distance and blur add up to 10 cm, or many farther off. With a higher score a
-/// surface is continued over an edge.
+/// surface is extrapolated over an edge.
 constexpr float kCloseScore = 100.0f;
 /// Pixels at edges with a lower score are left empty: no ray within 25 cm, blur included.
 constexpr float kMinEdgeScore = 15.0f;
@@ -38,8 +38,8 @@ constexpr float kContradictedScore = 2000.0f;
 /// With a score below this, without its sign, nobody knows: two rays within 2 cm, or more farther
 /// off. Glass returns some rays and lets others pass.
 constexpr float kDoubtedScore = 400.0f;
-/// Where an object is continued beyond its returns, pixels show it with a score above this: one ray
-/// whose distance and blur add up to 14 cm, or more farther off.
+/// Where an object is extrapolated beyond its returns, pixels show it with a score above this: one
+/// ray whose distance and blur add up to 14 cm, or more farther off.
 constexpr float kContinuedScore = 50.0f;
 /// They show what is behind only with a score below this, without its sign: a ray that passed
 /// within 2 cm, its blur not included, or some farther off. Nearer to the object its outline may
@@ -218,15 +218,15 @@ std::vector<PixelHypotheses> find_edges(const Columns& columns, const std::vecto
 }
 
 /// Empty pixels that a nearer surface may hide, which goes on beyond its last return.
-void empty_hidden(const Columns& columns, const std::vector<float>& continued,
+void empty_hidden(const Columns& columns, const std::vector<float>& extrapolated,
                   const VisibilityQueries& queries, std::vector<float>& inverse_depth,
                   std::vector<float>& scores) {
   std::vector<PixelHypotheses> nearer;
   for (int v = 0; v < columns.height; ++v)
     for (int u = 0; u < columns.width; ++u) {
       const std::size_t at = columns.at(u, v);
-      if (inverse_depth[at] > 0 && continued[at] > inverse_depth[at] * (1 + kSameDepth))
-        nearer.push_back({u, v, {continued[at]}});
+      if (inverse_depth[at] > 0 && extrapolated[at] > inverse_depth[at] * (1 + kSameDepth))
+        nearer.push_back({u, v, {extrapolated[at]}});
     }
   const std::vector<float> found = queries.score(nearer, 0);
   for (std::size_t i = 0; i < nearer.size(); ++i) {
@@ -278,14 +278,14 @@ void move_edges(const Columns& columns, const std::vector<Tile>& tiles,
 
 }  // namespace
 
-DepthHypotheses::DepthHypotheses(const Columns& columns, std::vector<float> trusted,
-                                 std::vector<float> continued)
+DepthHypotheses::DepthHypotheses(const Columns& columns, std::vector<float> nearest,
+                                 std::vector<float> extrapolated)
     : columns_(columns),
       tiles_(tiles_along(columns.width)),
-      open_(edge_tiles(columns, trusted)),
-      continued_(std::move(continued)) {
-  for (int k = 1; k < kMost; ++k) hypotheses_[k].assign(trusted.size(), 0.0f);
-  hypotheses_[0] = std::move(trusted);
+      open_(edge_tiles(columns, nearest)),
+      extrapolated_(std::move(extrapolated)) {
+  for (int k = 1; k < kMost; ++k) hypotheses_[k].assign(nearest.size(), 0.0f);
+  hypotheses_[0] = std::move(nearest);
 }
 
 void DepthHypotheses::add(float* inverse_depth) {
@@ -336,7 +336,7 @@ std::vector<float> DepthHypotheses::resolve(const Camera& camera,
     }
     pixels.resize(left);
   }
-  empty_hidden(columns_, continued_, queries, result, scores);
+  empty_hidden(columns_, extrapolated_, queries, result, scores);
   if (rays.size() == 1) return result;  // one sweep only confirms itself
   move_edges(columns_, tiles, queries, result, scores);
   return result;
@@ -345,23 +345,23 @@ std::vector<float> DepthHypotheses::resolve(const Camera& camera,
 void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const Camera& camera,
                         const ObjectImages& object, const std::vector<SweepRays>& rays,
                         std::uint16_t number, std::vector<float>& inverse_depth,
-                        std::vector<std::uint16_t>& owners) {
+                        std::vector<std::uint16_t>& shown_objects) {
   const VisibilityQueries queries(columns, camera, rays);
-  std::vector<PixelHypotheses> seen, continued;
+  std::vector<PixelHypotheses> seen, extrapolated;
   for (int v = bounds.begin_v; v < bounds.end_v; ++v)
     for (int u = bounds.begin_u; u < bounds.end_u; ++u) {
       const std::size_t at = columns.at(u, v);
-      const float trusted = object.trusted[at], other = object.others[at];
-      const float beyond = object.continued[at], here = inverse_depth[at];
-      if (trusted > 0) {
-        if (trusted > here) {
-          inverse_depth[at] = trusted;
-          owners[at] = number;
+      const float nearest = object.nearest[at], other = object.others[at];
+      const float beyond = object.extrapolated[at], here = inverse_depth[at];
+      if (nearest > 0) {
+        if (nearest > here) {
+          inverse_depth[at] = nearest;
+          shown_objects[at] = number;
         }
       } else if (other > here)
         seen.push_back({u, v, {other, beyond}});
       else if (beyond > here)
-        continued.push_back({u, v, {beyond}});
+        extrapolated.push_back({u, v, {beyond}});
     }
   std::vector<PixelHypotheses> behind = seen;
   for (PixelHypotheses& pixel : behind)
@@ -375,7 +375,7 @@ void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const
     const std::size_t at = columns.at(u, v);
     if (found[i] > -kDoubtedScore) {
       inverse_depth[at] = depths[0];
-      owners[at] = number;
+      shown_objects[at] = number;
     } else
       doubted.push_back(behind[i]);
   }
@@ -385,19 +385,19 @@ void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const
     const std::size_t at = columns.at(u, v);
     if (found[i] > -kContradictedScore) {
       inverse_depth[at] = 0;
-      owners[at] = 0;
+      shown_objects[at] = 0;
     } else if (depths[1] > inverse_depth[at])
-      continued.push_back({u, v, {depths[1]}});
+      extrapolated.push_back({u, v, {depths[1]}});
   }
-  found = queries.score(continued, 0);
-  for (std::size_t i = 0; i < continued.size(); ++i) {
-    const std::size_t at = columns.at(continued[i].u, continued[i].v);
+  found = queries.score(extrapolated, 0);
+  for (std::size_t i = 0; i < extrapolated.size(); ++i) {
+    const std::size_t at = columns.at(extrapolated[i].u, extrapolated[i].v);
     if (found[i] > kContinuedScore) {
-      inverse_depth[at] = continued[i].hypotheses[0];
-      owners[at] = number;
+      inverse_depth[at] = extrapolated[i].hypotheses[0];
+      shown_objects[at] = number;
     } else if (found[i] > -kUnsureScore) {
       inverse_depth[at] = 0;
-      owners[at] = 0;
+      shown_objects[at] = 0;
     }
   }
 }

@@ -19,10 +19,10 @@ struct Columns {
 
 /// Chooses between the depths of several sweeps.
 ///
-/// The nearest sweep is trusted, except at its edges: near a depth jump and where it measured
-/// nothing, every sweep adds its depth as a hypothesis. The nearest hypothesis that rays confirm
-/// wins, else the nearest one that no ray tells about. At the edges of the result rays also test
-/// whether a nearer surface covers the next pixel; what no ray confirms closely is left empty.
+/// The nearest sweep is taken as it is, except at its edges: near a depth jump and where it
+/// measured nothing, every sweep adds its depth as a hypothesis. The nearest hypothesis that rays
+/// confirm wins, else the nearest one that no ray tells about. At the edges of the result rays also
+/// test whether a nearer surface covers the next pixel; what no ray confirms closely is left empty.
 ///
 /// The camera stands beside the sensor and looks past a nearer surface where the sensor did not:
 /// between its last return and the next ray. There what is farther is left empty if the rays that
@@ -33,15 +33,17 @@ class DepthHypotheses {
   static constexpr int kStrip = 104;  ///< columns whose edges are found without their neighbours
   static constexpr int kMost = 3;     ///< hypotheses kept for a pixel
 
-  /// @param trusted    inverse depth of the nearest sweep
-  /// @param continued  of its surfaces beyond their last returns
-  DepthHypotheses(const Columns& columns, std::vector<float> trusted, std::vector<float> continued);
+  /// @param nearest    inverse depth of the nearest sweep
+  /// @param extrapolated  of its surfaces beyond their last returns
+  DepthHypotheses(const Columns& columns, std::vector<float> nearest,
+                  std::vector<float> extrapolated);
 
   /// 1 for each tile, row after row, in which further sweeps are drawn.
   const std::vector<std::uint8_t>& open_tiles() const { return open_; }
   int tiles() const { return tiles_; }  ///< tiles in a row
 
-  /// Add another sweep and clear its image in open tiles. Sweeps come in the order of trust.
+  /// Add another sweep and clear its image in open tiles. Sweeps come in the order in which they
+  /// win.
   void add(float* inverse_depth);
 
   /// Inverse depth as far as rays confirm it; without rays that of the first sweep that has any.
@@ -51,27 +53,27 @@ class DepthHypotheses {
   Columns columns_;
   int tiles_;
   std::vector<std::uint8_t> open_;
-  std::vector<float> continued_;
+  std::vector<float> extrapolated_;
   std::vector<float> hypotheses_[kMost];  // each differs from those before it; 0 if there is none
 };
 
 /// Inverse depths of a dynamic object.
 struct ObjectImages {
-  std::vector<float> trusted;    ///< as the nearest sweep saw it
-  std::vector<float> others;     ///< as other sweeps saw it
-  std::vector<float> continued;  ///< beyond what any sweep saw
+  std::vector<float> nearest;       ///< as the nearest sweep saw it
+  std::vector<float> others;        ///< as other sweeps saw it
+  std::vector<float> extrapolated;  ///< beyond what any sweep saw
 };
 
 /// Draw a dynamic object over what is farther: what the nearest sweep saw, what other sweeps saw if
-/// rays do not contradict it, and what continues it if rays confirm it. Between what rays confirm
-/// and what they passed through, pixels stay empty.
+/// rays do not contradict it, and what extrapolates it if rays confirm it. Between what rays
+/// confirm and what they passed through, pixels stay empty.
 /// @param bounds  of its pixels; columns as in `columns`
 /// @param rays    placed so that the object stands still among them
 /// @param number  of the object, from 1 on
-/// @param owners  number of the object that each pixel shows; 0 for none
+/// @param shown_objects  number of the object that each pixel shows; 0 for none
 void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const Camera& camera,
                         const ObjectImages& object, const std::vector<SweepRays>& rays,
                         std::uint16_t number, std::vector<float>& inverse_depth,
-                        std::vector<std::uint16_t>& owners);
+                        std::vector<std::uint16_t>& shown_objects);
 
 }  // namespace docdepth

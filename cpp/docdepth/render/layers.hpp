@@ -18,7 +18,7 @@ struct Layers {
   std::vector<std::int32_t> sweep;      ///< number of the sweep; -1 if there is no depth
   std::vector<std::uint8_t> classid;    ///< ClassId, or kNoClass
   std::vector<std::uint16_t> instance;  ///< of a dynamic object; 0 if it is none
-  std::vector<std::uint8_t> measured;   ///< 0 if a surface is only continued over a discontinuity
+  std::vector<std::uint8_t> measured;   ///< 0 if a surface is only extrapolated over a jump
   std::vector<float> range;             ///< from the sensor that measured it [m]; NaN if none
   std::vector<float> normal;            ///< x y z in the camera frame, towards it; none of splats
   std::vector<std::uint16_t> support;   ///< measurements that agree with the depth (kAgree)

@@ -41,17 +41,17 @@ DynamicObjectScene place(const Camera& camera, const ObjectViews& object,
     list.push_back({&mesh, from.placed.T_camera_frame, from.sweep, split, object.instance});
   };
   const auto meshes = [](const ObjectView& from) -> const MeshFrame::DynamicMesh& {
-    return from.placed.frame->dynamic_meshes[from.owner - 1];
+    return from.placed.frame->dynamic_meshes[from.object_index - 1];
   };
   for (const ObjectView& from : object.around) {
-    auto& surfaces = &from == object.around.data() ? placed.trusted : placed.others;
+    auto& surfaces = &from == object.around.data() ? placed.nearest : placed.others;
     add(surfaces, meshes(from).whole, from, false);
     add(surfaces, meshes(from).inner, from, true);
-    add(placed.continued, meshes(from).outer, from, true);
+    add(placed.extrapolated, meshes(from).outer, from, true);
   }
   for (const ObjectView& from : object.others) add(placed.others, meshes(from).whole, from, false);
   for (const ObjectView& from : object.rays)
-    placed.rays.push_back({&from.placed.frame->dynamic_meshes[from.owner - 1].rays,
+    placed.rays.push_back({&from.placed.frame->dynamic_meshes[from.object_index - 1].rays,
                            from.placed.T_camera_frame, kMovedRayBlur, age(from.sweep)});
   return placed;
 }
@@ -60,11 +60,11 @@ DynamicObjectScene place(const Camera& camera, const ObjectViews& object,
 
 MeshFrame::MeshFrame(const MeshParts& parts) {
   const Points& points = parts.points;
-  const std::size_t owners = parts.motions.size() + 1;
+  const std::size_t surfaces = parts.motions.size() + 1;
   auto mesh = partition_mesh(points, parts.triangles, parts.discontinuity, parts.triangle_count,
-                             parts.owner, owners, parts.drawn);
+                             parts.object_index, surfaces, parts.drawn);
   std::vector<std::uint8_t> moving(points.rows());
-  for (Eigen::Index i = 0; i < points.rows(); ++i) moving[i] = parts.owner[i] != 0;
+  for (Eigen::Index i = 0; i < points.rows(); ++i) moving[i] = parts.object_index[i] != 0;
   rays = Rays(points, mesh.normals, parts.ray_origins, {}, parts.time_offset, moving.data());
   std::vector<Vector>& vertices = mesh.vertices;
   std::vector<std::uint8_t> classes(vertices.size(), kNoClass);  // of vertices between returns
@@ -72,7 +72,7 @@ MeshFrame::MeshFrame(const MeshParts& parts) {
   for (std::size_t i = 0; i < parts.isolated_count; ++i) {
     const std::uint32_t alone = parts.isolated[i];
     add_diamond(points.row(alone), parts.isolated_angle, vertices,
-                mesh.parts[parts.owner[alone]].whole);
+                mesh.parts[parts.object_index[alone]].whole);
     classes.resize(vertices.size(), class_of(parts.classid[alone]));
     mesh.sources.resize(vertices.size(), alone);
   }
@@ -83,8 +83,8 @@ MeshFrame::MeshFrame(const MeshParts& parts) {
   static_mesh = PatchMesh(all, mesh.parts[0].whole);
   static_outer = PatchMesh(all, mesh.parts[0].outer);
   std::vector<Rays> near = object_rays(parts, mesh.normals);
-  dynamic_meshes.resize(owners - 1);
-  for (std::size_t k = 1; k < owners; ++k)
+  dynamic_meshes.resize(surfaces - 1);
+  for (std::size_t k = 1; k < surfaces; ++k)
     if (!parts.drawn || parts.drawn[k - 1])
       dynamic_meshes[k - 1] = {PatchMesh(all, mesh.parts[k].whole),
                                PatchMesh(all, mesh.parts[k].inner),
@@ -101,8 +101,8 @@ MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>
     const auto& [frame, T_camera_frame] = static_frames[i];
     const PlacedMesh mesh{&frame->static_mesh, T_camera_frame, i};
     if (i < nearest_frames) {
-      scene.trusted.push_back(mesh);
-      scene.continued.push_back({&frame->static_outer, T_camera_frame});
+      scene.nearest.push_back(mesh);
+      scene.extrapolated.push_back({&frame->static_outer, T_camera_frame});
     }
     if (i > 0) scene.others.push_back(mesh);
   }

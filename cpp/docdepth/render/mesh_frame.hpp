@@ -27,7 +27,7 @@ struct MeshParts {
   std::size_t isolated_count;
   float isolated_angle;          ///< half the diagonal of the diamond as the sensor sees it [rad]
   const std::uint16_t* classid;  ///< ClassId of every point
-  const std::uint16_t* owner;    ///< of every point: 0 the static surface, 1, 2, ... objects
+  const std::uint16_t* object_index;  ///< of every point: 0 the static surface, 1, 2, ... objects
   const std::vector<ObjectMotion>& motions;  ///< of object 1, 2, ...
   const std::uint8_t* drawn;   ///< of object 1, 2, ...: 0 if nobody draws it; null if all are drawn
   const float* time_offset;    ///< of every point [s after the sweep's stamp]; may be null
@@ -39,14 +39,14 @@ struct MeshParts {
 struct MeshFrame {
   struct DynamicMesh {
     PatchMesh whole;  ///< measured surface and isolated returns
-    PatchMesh inner;  ///< continues it over its own discontinuities
-    PatchMesh outer;  ///< continues it towards its surroundings
+    PatchMesh inner;  ///< extrapolates it over its own discontinuities
+    PatchMesh outer;  ///< extrapolates it towards its surroundings
     Rays rays;        ///< near it, as object_rays() moves them
   };
   PatchMesh static_mesh;                    ///< measured surface and isolated returns
-  PatchMesh static_outer;                   ///< continues it over what may be hidden behind it
+  PatchMesh static_outer;                   ///< extrapolates it over what may be hidden behind it
   Rays rays;                                ///< as they were measured
-  std::vector<DynamicMesh> dynamic_meshes;  ///< of owner 1, 2, ...; empty if it is not drawn
+  std::vector<DynamicMesh> dynamic_meshes;  ///< of object 1, 2, ...; empty if it is not drawn
 
   explicit MeshFrame(const MeshParts& parts);
 };
@@ -71,21 +71,22 @@ struct ShutterSweep {
 /// What a sweep saw of an object, placed where the object is at the time of the image.
 struct ObjectView {
   PlacedMeshFrame placed;
-  std::uint32_t owner;  ///< number of the object in the frame, from 1 on
-  int sweep;            ///< number of the sweep, chosen by the caller
+  std::uint32_t object_index;  ///< number of the object in the frame, from 1 on
+  int sweep;                   ///< number of the sweep, chosen by the caller
 };
 
 /// A dynamic object as several sweeps saw it.
 struct ObjectViews {
   std::uint16_t instance;          ///< 0 if it is not followed
-  std::vector<ObjectView> around;  ///< sweeps around the image; the first is trusted
+  std::vector<ObjectView> around;  ///< sweeps around the image; the first is drawn as it is
   std::vector<ObjectView> others;  ///< sweeps farther in time, which saw other parts of it
   std::vector<ObjectView> rays;    ///< that tell where it ends
 };
 
 /// The scene of static surface and dynamic objects, for any rasteriser.
 ///
-/// @param static_frames      sweeps in the order of trust, the nearest first; of several LiDARs a
+/// @param static_frames      sweeps in the order in which they win, the nearest first; of several
+/// LiDARs a
 ///   frame for each
 /// @param visibility_sweeps  number of static_frames whose rays decide where sweeps differ. With 0
 ///   the first sweep with a depth wins.
@@ -93,7 +94,7 @@ struct ObjectViews {
 ///   sweeps static_frames.size(), static_frames.size() + 1, ... of sightings
 /// @param boxes              around objects that move; see mask_unobserved_background()
 /// @param nearest_frames     number of static_frames of the nearest sweep, at least 1: they are
-///   trusted, and between its last return and the next ray each may hide what is farther
+///   drawn as they are, and between its last return and the next ray each may hide what is farther
 MeshScene compose_scene(const Camera& camera, const std::vector<PlacedMeshFrame>& static_frames,
                         const std::vector<ObjectViews>& objects, int visibility_sweeps,
                         const std::vector<ShutterSweep>& shutter_sweeps,

@@ -23,20 +23,20 @@ struct Tally {
 
 std::vector<const PlacedMesh*> meshes_of(const MeshScene& scene) {
   std::vector<const PlacedMesh*> meshes;
-  for (const auto* list : {&scene.trusted, &scene.others})
+  for (const auto* list : {&scene.nearest, &scene.others})
     for (const PlacedMesh& mesh : *list) meshes.push_back(&mesh);
   for (const DynamicObjectScene& object : scene.dynamic_objects)
-    for (const auto* list : {&object.trusted, &object.others, &object.continued})
+    for (const auto* list : {&object.nearest, &object.others, &object.extrapolated})
       for (const PlacedMesh& mesh : *list) meshes.push_back(&mesh);
   return meshes;
 }
 
 /// The dynamic object of each mesh in the order of meshes_of(); -1 of static ones.
 std::vector<std::int32_t> objects_of_meshes(const MeshScene& scene) {
-  std::vector<std::int32_t> objects(scene.trusted.size() + scene.others.size(), -1);
+  std::vector<std::int32_t> objects(scene.nearest.size() + scene.others.size(), -1);
   for (std::size_t k = 0; k < scene.dynamic_objects.size(); ++k) {
     const DynamicObjectScene& object = scene.dynamic_objects[k];
-    const auto meshes = object.trusted.size() + object.others.size() + object.continued.size();
+    const auto meshes = object.nearest.size() + object.others.size() + object.extrapolated.size();
     objects.insert(objects.end(), meshes, std::int32_t(k));
   }
   return objects;
@@ -173,7 +173,7 @@ Layers::Layers(const Camera& camera, bool with_normals) {
 Layers layers_of_triangles(const Camera& camera, const MeshScene& scene, const float* depth,
                            bool with_seen, int threads) {
   const auto meshes = meshes_of(scene);
-  const std::size_t dynamic_objects = scene.trusted.size() + scene.others.size();
+  const std::size_t dynamic_objects = scene.nearest.size() + scene.others.size();
   Layers layers(camera, true);
   const std::vector<std::int32_t> object_of_mesh = objects_of_meshes(scene);
   std::vector<std::int32_t> objects(with_seen ? layers.sweep.size() : 0, -1);

@@ -49,17 +49,17 @@ struct Around {
 };
 
 std::vector<Around> around_objects(const MeshParts& parts, const std::vector<Direction>& directions,
-                                   std::size_t owners) {
-  std::vector<Around> around(owners);
-  std::vector<std::uint8_t> known(owners, 0);
+                                   std::size_t objects) {
+  std::vector<Around> around(objects);
+  std::vector<std::uint8_t> known(objects, 0);
   for (Eigen::Index i = 0; i < parts.points.rows(); ++i) {
-    const std::size_t owner = parts.owner[i];
-    if (!owner) continue;
-    if (!known[owner - 1]) {
-      around[owner - 1].centre = directions[i];
-      known[owner - 1] = 1;
+    const std::size_t object_index = parts.object_index[i];
+    if (!object_index) continue;
+    if (!known[object_index - 1]) {
+      around[object_index - 1].centre = directions[i];
+      known[object_index - 1] = 1;
     }
-    around[owner - 1].add(directions[i], parts.points.row(i).norm());
+    around[object_index - 1].add(directions[i], parts.points.row(i).norm());
   }
   for (Around& one : around) one.widen();
   return around;
@@ -93,7 +93,7 @@ std::vector<Rays> object_rays(const MeshParts& parts, const std::vector<Vector>&
       if (parts.ray_origins) origins.row(to) = parts.ray_origins->row(i);
       ends.row(to) = points.row(i);
       across.push_back(normals[i]);
-      own.push_back(parts.owner[i] == result.size() + 1);
+      own.push_back(parts.object_index[i] == result.size() + 1);
       times.push_back(parts.time_offset ? parts.time_offset[i] : 0.0f);
       if (!parts.time_offset) continue;
       const Vector moved = motion.velocity * (motion.time - parts.time_offset[i]);

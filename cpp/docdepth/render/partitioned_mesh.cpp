@@ -84,13 +84,13 @@ class Splitter {
   const std::vector<Vector>& normals_;
 };
 
-/// The corner on its own side of the discontinuity: the one of another owner, else the nearest or
+/// The corner on its own side of the discontinuity: the one of another surface, else the nearest or
 /// the farthest, whichever differs more from the middle one.
 int corner_alone(const std::vector<Vector>& vertices, const std::uint32_t corner[3],
-                 const std::uint16_t* owner) {
+                 const std::uint16_t* object_index) {
   for (int i = 0; i < 3; ++i)
-    if (owner[corner[i]] != owner[corner[(i + 1) % 3]] &&
-        owner[corner[(i + 1) % 3]] == owner[corner[(i + 2) % 3]])
+    if (object_index[corner[i]] != object_index[corner[(i + 1) % 3]] &&
+        object_index[corner[(i + 1) % 3]] == object_index[corner[(i + 2) % 3]])
       return i;
   float range[3];
   for (int i = 0; i < 3; ++i) range[i] = vertices[corner[i]].norm();
@@ -104,7 +104,7 @@ int corner_alone(const std::vector<Vector>& vertices, const std::uint32_t corner
 
 PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*triangles)[3],
                                const std::uint8_t* discontinuity, std::size_t count,
-                               const std::uint16_t* owner, std::size_t owners,
+                               const std::uint16_t* object_index, std::size_t surfaces,
                                const std::uint8_t* drawn) {
   PartitionedMesh mesh;
   mesh.vertices.reserve(points.rows() + points.rows() / 2);
@@ -112,16 +112,17 @@ PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*trian
   mesh.sources.resize(points.rows());
   std::iota(mesh.sources.begin(), mesh.sources.end(), 0);
   mesh.normals.assign(points.rows(), Vector::Zero());
-  mesh.parts.resize(owners);
+  mesh.parts.resize(surfaces);
   mesh.parts[0].whole.reserve(count);
   std::vector<std::size_t> jumps;
   for (std::size_t t = 0; t < count; ++t) {
     const auto [i, j, k] = triangles[t];
-    if (discontinuity[t] || owner[i] != owner[j] || owner[j] != owner[k]) {
+    if (discontinuity[t] || object_index[i] != object_index[j] ||
+        object_index[j] != object_index[k]) {
       jumps.push_back(t);
       continue;
     }
-    mesh.parts[owner[i]].whole.push_back({i, j, k});
+    mesh.parts[object_index[i]].whole.push_back({i, j, k});
     const Vector &p = mesh.vertices[i], &q = mesh.vertices[j], &r = mesh.vertices[k];
     const Vector normal = (q - p).cross(r - p);
     for (const auto corner : {i, j, k}) mesh.normals[corner] += normal;
@@ -129,10 +130,10 @@ PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*trian
   Splitter splitter(mesh, mesh.normals);
   for (const std::size_t t : jumps) {
     const auto* corner = triangles[t];
-    const int alone = corner_alone(mesh.vertices, corner, owner);
+    const int alone = corner_alone(mesh.vertices, corner, object_index);
     const std::uint32_t i = corner[alone], j = corner[(alone + 1) % 3], k = corner[(alone + 2) % 3];
-    const bool own = owner[i] == owner[j] && owner[j] == owner[k];
-    if (own && !owner[i]) {
+    const bool own = object_index[i] == object_index[j] && object_index[j] == object_index[k];
+    if (own && !object_index[i]) {
       Triangles* outer = &mesh.parts[0].outer;
       const bool nearer = points.row(i).norm() < points.row(j).norm();
       splitter.split(i, j, k, nearer ? outer : nullptr, nearer ? nullptr : outer, kOuterShare);
@@ -142,7 +143,8 @@ PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*trian
       if (!of || (drawn && !drawn[of - 1])) return nullptr;
       return own ? &mesh.parts[of].inner : &mesh.parts[of].outer;
     };
-    splitter.split(i, j, k, part(owner[i]), part(owner[j]), own ? kInnerShare : kOuterShare);
+    splitter.split(i, j, k, part(object_index[i]), part(object_index[j]),
+                   own ? kInnerShare : kOuterShare);
   }
   return mesh;
 }

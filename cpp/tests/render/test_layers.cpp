@@ -23,7 +23,7 @@ TEST_CASE("layers of triangles tell which mesh is seen, and how many agree") {
   const PatchMesh dynamic_mesh = square(4, kDynamic), other = square(4.02f, kDynamic);
   const Pose T = Pose::Identity();
   MeshScene scene;
-  scene.trusted = {{&wall, T, 0}};
+  scene.nearest = {{&wall, T, 0}};
   scene.others = {{&again, T, 1}, {&near, T, 2}, {&near, T, 0, true}};
   const std::vector<float> depth(21 * 21, 10.0f);
   for (const int threads : {1, 3}) {

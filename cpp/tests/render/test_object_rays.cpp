@@ -38,11 +38,11 @@ TEST_CASE("an object has the rays near it in any direction, however wide it is")
   const auto beside = int(0.044f / kStep);  // columns or rings
   for (const int width : {1, 20, 80, 100, 300})
     for (int first = 0; first < kColumns; first += 24) {
-      std::vector<std::uint16_t> owner(points.rows(), 0);
+      std::vector<std::uint16_t> object_index(points.rows(), 0);
       for (int k = 0; k < width; ++k)
-        owner[kRings / 2 * kColumns + (first + k) % kColumns] = 1;  // of the middle ring
+        object_index[kRings / 2 * kColumns + (first + k) % kColumns] = 1;  // of the middle ring
       const std::vector<Rays> rays =
-          object_rays({all, nullptr, nullptr, 0, nullptr, 0, 0, classid.data(), owner.data(),
+          object_rays({all, nullptr, nullptr, 0, nullptr, 0, 0, classid.data(), object_index.data(),
                        motions, nullptr, nullptr, nullptr, nullptr},
                       normals);
       REQUIRE(rays.size() == 1);

@@ -126,11 +126,11 @@ TEST_CASE("without rays the first sweep with a depth wins, and dynamic objects h
   const Camera camera{100, 100, 10, 10, 21, 21};
   const PatchMesh far = square(10), near = square(5), half = square(12, 0.01f);
   const Pose T = Pose::Identity();
-  const auto depth = [&](const std::vector<const PatchMesh*>& trusted,
+  const auto depth = [&](const std::vector<const PatchMesh*>& nearest,
                          const std::vector<const PatchMesh*>& others,
                          const std::vector<const PatchMesh*>& dynamic_meshes, int pixel) {
     MeshScene scene;
-    for (const PatchMesh* mesh : trusted) scene.trusted.push_back({mesh, T});
+    for (const PatchMesh* mesh : nearest) scene.nearest.push_back({mesh, T});
     for (const PatchMesh* mesh : others) scene.others.push_back({mesh, T});
     for (const PatchMesh* mesh : dynamic_meshes)
       scene.dynamic_objects.push_back({{{mesh, T}}, {}, {}, {}, {0, 21, 0, 21}});
@@ -148,7 +148,8 @@ TEST_CASE("without rays the first sweep with a depth wins, and dynamic objects h
 }
 
 TEST_CASE(
-    "rays tell a surface from what was looked through, at edges and where nothing is trusted") {
+    "rays tell a surface from what was looked through, at edges and where the nearest sweep saw "
+    "nothing") {
   const Camera camera{100, 100, 10, 10, 21, 21};
   const PatchMesh far = square(10), near = square(5), nearer = square(2.5f),
                   half = square(10, 0.05f);
@@ -171,9 +172,9 @@ TEST_CASE(
     }
   const Rays rays(points, std::vector<Eigen::Vector3f>(points.rows(), Eigen::Vector3f::Zero()));
   const Pose T_camera_sensor = looking_ahead();
-  const auto draw = [&](const PatchMesh* trusted, const std::vector<const PatchMesh*>& others) {
+  const auto draw = [&](const PatchMesh* nearest, const std::vector<const PatchMesh*>& others) {
     MeshScene scene;
-    if (trusted) scene.trusted.push_back({trusted, Pose::Identity()});
+    if (nearest) scene.nearest.push_back({nearest, Pose::Identity()});
     for (const PatchMesh* mesh : others) scene.others.push_back({mesh, Pose::Identity()});
     scene.rays.push_back({&rays, T_camera_sensor});
     return render_triangles(camera, scene, 1);
@@ -187,7 +188,7 @@ TEST_CASE(
     CHECK(draw(nullptr, {&nearer, &far, &near})[i] == truth);
     CHECK(draw(nullptr, {&far, &nearer})[i] == doctest::Approx(10));  // neither is there
     CHECK(draw(&far, {&near})[i] == doctest::Approx(10));             // no edge, so no ray decides
-    // The tiles in which the trusted one has its edge are open: the columns 8 to 15.
+    // The tiles in which the nearest sweep has its edge are open: the columns 8 to 15.
     const bool open = i % 21 < 16;
     CHECK(draw(&half, {&near, &far})[i] == (open ? truth : doctest::Approx(10)));
     // So are those on both sides of an edge: this one lies between the columns 15 and 16.
@@ -195,7 +196,7 @@ TEST_CASE(
   }
 }
 
-TEST_CASE("rays are queried in the order of trust until the score is sure") {
+TEST_CASE("rays are queried in the order in which they win until the score is sure") {
   const Camera camera{100, 100, 3, 3, 7, 7};
   const PatchMesh far = square(10), near = square(5);
   const float spacing = 0.05f;
@@ -232,7 +233,7 @@ TEST_CASE("an object goes on where rays met it close by, and other sweeps add wh
   enum Kind { kTrusted, kOther, kContinued };
   const auto middle = [&](const std::vector<SweepRays>& rays, Kind kind) {
     MeshScene scene;
-    scene.trusted.push_back({&wall, Pose::Identity()});
+    scene.nearest.push_back({&wall, Pose::Identity()});
     const std::vector<PlacedMesh> meshes{{&dynamic_mesh, Pose::Identity()}}, none;
     scene.dynamic_objects.push_back({kind == kTrusted ? meshes : none,
                                      kind == kOther ? meshes : none,
@@ -264,15 +265,15 @@ TEST_CASE("an object goes on where rays met it close by, and other sweeps add wh
   for (const Rays* rays : {&close, &far, &passed}) CHECK(middle({{rays, T}}, kTrusted) == 5);
 }
 
-TEST_CASE("other sweeps only fill what the trusted mesh of an object left empty") {
+TEST_CASE("other sweeps only fill what the nearest mesh of an object left empty") {
   const Camera camera{100, 100, 3, 3, 7, 7};
-  // The trusted surface ends within the only tile, in the middle of the image.
+  // The surface of the nearest sweep ends within the only tile, in the middle of the image.
   const PatchMesh wall = square(10), half = square(5, -5, 0.01f), nearer = square(4);
   const Rays met = sweep(4, 0.01f, 0), passed = sweep(10, 0.01f, 0);
   const Pose T = looking_ahead();
   for (const Rays* rays : {&met, &passed}) {
     MeshScene scene;
-    scene.trusted.push_back({&wall, Pose::Identity()});
+    scene.nearest.push_back({&wall, Pose::Identity()});
     scene.dynamic_objects.push_back({{{&half, Pose::Identity()}},
                                      {{&nearer, Pose::Identity()}},
                                      {},
@@ -284,7 +285,7 @@ TEST_CASE("other sweeps only fill what the trusted mesh of an object left empty"
   }
 }
 
-using Owners = std::vector<std::uint16_t>;
+using ObjectIndex = std::vector<std::uint16_t>;
 
 TEST_CASE(
     "a discontinuity of an object is split near the middle, each side at the range of its "
@@ -293,19 +294,19 @@ TEST_CASE(
   points << 10, 0, 0, 20, 1, 0, 20, 0, 1;
   const std::uint32_t triangle[1][3] = {{0, 1, 2}};
   const std::uint8_t whole = 0, cut = 1;
-  CHECK(partition_mesh(points, triangle, &whole, 1, Owners{0, 0, 0}.data(), 1)
+  CHECK(partition_mesh(points, triangle, &whole, 1, ObjectIndex{0, 0, 0}.data(), 1)
             .parts[0]
             .whole.size() == 1);
 
   // Of static surface the nearer side may hide the other one.
-  const auto world = partition_mesh(points, triangle, &cut, 1, Owners{0, 0, 0}.data(), 1);
+  const auto world = partition_mesh(points, triangle, &cut, 1, ObjectIndex{0, 0, 0}.data(), 1);
   CHECK(world.parts[0].whole.empty());
   CHECK(world.parts[0].inner.empty());
   REQUIRE(world.parts[0].outer.size() == 1);
   for (const auto corner : world.parts[0].outer[0])
     CHECK(world.vertices[corner].norm() == doctest::Approx(10));
 
-  const auto split = partition_mesh(points, triangle, &cut, 1, Owners{1, 1, 1}.data(), 2);
+  const auto split = partition_mesh(points, triangle, &cut, 1, ObjectIndex{1, 1, 1}.data(), 2);
   CHECK(split.parts[1].whole.empty());
   CHECK(split.parts[1].outer.empty());
   REQUIRE(split.parts[1].inner.size() == 3);
@@ -315,8 +316,8 @@ TEST_CASE(
     for (const auto corner : split.parts[1].inner[part])
       CHECK(split.vertices[corner].norm() > 19.9);
 
-  // Two owners are never joined, with or without a jump.
-  const auto border = partition_mesh(points, triangle, &whole, 1, Owners{0, 1, 0}.data(), 2);
+  // Two surfaces are never joined, with or without a jump.
+  const auto border = partition_mesh(points, triangle, &whole, 1, ObjectIndex{0, 1, 0}.data(), 2);
   CHECK(border.parts[0].whole.empty());
   CHECK(border.parts[1].whole.empty());
   CHECK(border.parts[1].inner.empty());
@@ -330,7 +331,7 @@ TEST_CASE("where two planes meet between their last returns, each goes on to the
   points << 4, -1, -2, 4, 1, -2, 6, 0, -2, 10, -1, 0, 10, 1, 0, 10, 0, 1;
   const std::uint32_t triangles[4][3] = {{0, 1, 2}, {3, 4, 5}, {2, 3, 4}, {1, 2, 4}};
   const std::uint8_t cut[4] = {0, 0, 1, 1};
-  const auto surface = partition_mesh(points, triangles, cut, 4, Owners(6, 1).data(), 2);
+  const auto surface = partition_mesh(points, triangles, cut, 4, ObjectIndex(6, 1).data(), 2);
   CHECK(surface.parts[1].whole.size() == 2);
   REQUIRE(surface.parts[1].inner.size() == 6);
   for (const auto& part : surface.parts[1].inner)

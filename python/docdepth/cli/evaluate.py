@@ -173,7 +173,7 @@ def depth(
 @verb(evaluate)
 def held_out(
     run: RunPath,
-    every: Annotated[int, option("Judge by every N-th sweep, one at a time.", "N", min=1)] = 10,
+    every: Annotated[int, option("Leave out every N-th sweep, one at a time.", "N", min=1)] = 10,
     lidar: Annotated[
         int | None,
         option(
@@ -206,7 +206,7 @@ def held_out(
 
     A sweep is left out, or some of its beams or sectors, or a LiDAR of a rig. Its view is rendered
     from all else, and each of its returns is compared with the map. Pixels between returns are not
-    judged.
+    evaluated.
     Poses that jitter and sweeps that are not motion compensated are named. Returns cannot tell
     where the camera is and when it looked. Where images can, it says what a wrong camera adds.
     """

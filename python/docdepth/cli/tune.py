@@ -27,7 +27,7 @@ def tune(
     label_folders: Annotated[
         list[Path] | None,
         option(
-            "Judge by true labels, as evaluate labels does: parameters of odometry, ground and "
+            "Score by true labels, as evaluate labels does: parameters of odometry, ground and "
             "dynamics. One for each run, in the same order.",
             "DIR",
             "--labels",
@@ -36,14 +36,14 @@ def tune(
     depth_folders: Annotated[
         list[Path] | None,
         option(
-            "Judge by true depth maps, as evaluate depth does. One for each run.", "DIR", "--depth"
+            "Score by true depth maps, as evaluate depth does. One for each run.", "DIR", "--depth"
         ),
     ] = None,
     every: Annotated[
         int | None,
         option(
-            "Judge by every N-th sweep, left out of the depth that it judges, as evaluate held-out "
-            "does: needs no truth. Chosen with N = 10 if no other judge is.",
+            "Compare with every N-th sweep, left out of the depth, as evaluate held-out "
+            "does: needs no truth. Chosen with N = 10 if no other objective is.",
             "N",
             "--held-out",
             min=1,
@@ -75,13 +75,13 @@ def tune(
       docdepth tune RUN1 RUN2 RUN3 -o out --vary render.behind=5,15
       docdepth tune RUN --labels DIR -o out --vary dynamics.tolerance=0.1,0.2
     """
-    judges = _judges(len(runs), label_folders, depth_folders, every, camera)
+    objectives = _objectives(len(runs), label_folders, depth_folders, every, camera)
     if bool(vary) == bool(trials):
         raise ConfigError("say what to vary: --vary STAGE.NAME=A,B or --trials FILE")
     sets = tuning.read_trials(trials) if trials else tuning.grid(parse_axes(vary or []), "--vary")
     with progress_bars() as progress:
-        outcomes = tuning.tune(runs, judges, sets, output, jobs, threads, progress)
-    by = judges[0].by
+        outcomes = tuning.tune(runs, objectives, sets, output, jobs, threads, progress)
+    by = objectives[0].by
     table = tuning.table(outcomes, by)
     say(str(table))
     (output / "tune.md").write_text(table.markdown(), encoding="utf-8")
@@ -112,16 +112,16 @@ def parse_axes(assignments: Sequence[str]) -> dict[str, list[Any]]:
     return axes
 
 
-def _judges(
+def _objectives(
     count: int,
     labels: list[Path] | None,
     depth: list[Path] | None,
     every: int | None,
     camera: str | None,
-) -> list[tuning.Judge]:
-    """The judge that the options choose, for each run."""
+) -> list[tuning.Objective]:
+    """The objective that the options choose, for each run."""
     if sum(bool(option) for option in (labels, depth, every)) > 1:
-        raise ConfigError("choose one judge: --labels DIR, --depth DIR or --held-out N")
+        raise ConfigError("choose one objective: --labels DIR, --depth DIR or --held-out N")
     truths = labels or depth
     if truths and len(truths) != count:
         raise ConfigError(
@@ -131,5 +131,7 @@ def _judges(
     if labels and camera is not None:
         raise ConfigError("labels are the same for every camera; leave --camera out")
     if truths:
-        return [tuning.Judge("labels" if labels else "depth", folder, camera) for folder in truths]
-    return [tuning.Judge(camera=camera, every=every or 10)] * count
+        return [
+            tuning.Objective("labels" if labels else "depth", folder, camera) for folder in truths
+        ]
+    return [tuning.Objective(camera=camera, every=every or 10)] * count

@@ -45,7 +45,7 @@ ERRORS = (
     "error; too near, too far: share more than 5 % off"
 )
 NOTE = (
-    f"{ERRORS}; MAE in shifts: MAE over that of the true depth moved right by one pixel; "
+    f"{ERRORS}; edge displacement: MAE over that of the true depth moved right by one pixel; "
     "interior: more than 3 pixels from a depth edge"
 )
 
@@ -131,7 +131,7 @@ class DepthResult(Figures):
             f"density {number(self.density, 1)} % ({number(self.density_on_surfaces, 1)} % "
             "of the pixels with a true depth)"
         )
-        header = ("region", "pixels", "density %", "MAE m", "RMSE m", "MAE in shifts")
+        header = ("region", "pixels", "density %", "MAE m", "RMSE m", "edge displacement px")
         cells = ((name, *errors.cells()) for name, errors in rows.items() if errors is not None)
         return Table(title, (*header, "too near %", "too far %"), tuple(cells), NOTE)
 
@@ -245,8 +245,8 @@ class DepthEvaluation:
         moving = np.zeros(truth.shape, bool) if dynamic is None else np.asarray(dynamic, bool)
         to_edge = edge_distance(truth).ravel()[selected]
         shifted = np.pad(truth[:, :-1], ((0, 0), (1, 0)), constant_values=np.nan)
-        shift = np.abs(shifted.ravel()[selected] - d)
-        pixels = (error, d, shift, to_edge > EDGE_MARGIN, moving.ravel()[selected])
+        moved = np.abs(shifted.ravel()[selected] - d)
+        pixels = (error, d, moved, to_edge > EDGE_MARGIN, moving.ravel()[selected])
         self._sums.add(*pixels)
         for (near, far), sums in self._edges.items():
             sums.add(*pixels, among=(to_edge > near) & (to_edge <= far))

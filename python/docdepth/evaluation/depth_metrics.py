@@ -112,9 +112,9 @@ class RegionErrors(Figures):
         Of these, the pixels with a predicted depth.
     mae, rmse : float
         Metres.
-    shifts : float
-        MAE in shifts: the MAE divided by the MAE of the true depth map moved right by one pixel,
-        on the same pixels.
+    edge_displacement : float
+        By how many pixels edges are off: the MAE divided by the MAE of the true depth map moved
+        right by one pixel, on the same pixels.
     too_near, too_far : float
         Share of compared pixels whose depth is more than 5 % too small or too large [%].
     """
@@ -123,7 +123,7 @@ class RegionErrors(Figures):
     compared: int
     mae: float
     rmse: float
-    shifts: float
+    edge_displacement: float
     too_near: float
     too_far: float
     derived = ("density",)
@@ -139,7 +139,7 @@ class RegionErrors(Figures):
             f"{self.pixels:,}",
             number(self.density, 1),
             *(number(x, 3) for x in (self.mae, self.rmse)),
-            *(number(x, 2) for x in (self.shifts, self.too_near, self.too_far)),
+            *(number(x, 2) for x in (self.edge_displacement, self.too_near, self.too_far)),
         ]
 
 
@@ -164,23 +164,23 @@ class PixelSums:
         self,
         error: Values,
         truth: Values,
-        shift: Values,
+        moved: Values,
         interior: Mask,
         dynamic: Mask,
         among: Mask | slice = _ANY,
     ) -> None:
-        """Add pixels of one image, shape (k,) each; ``error`` and ``shift`` may be NaN [m]."""
-        error, truth, shift = error[among], truth[among], shift[among]
+        """Add pixels of one image, shape (k,) each; ``error`` and ``moved`` may be NaN [m]."""
+        error, truth, moved = error[among], truth[among], moved[among]
         interior, dynamic = interior[among], dynamic[among]
         range_bin = np.searchsorted(self._bins, truth, side="left") - 1
         cell = (2 * np.maximum(range_bin, 0) + interior) * 2 + dynamic
         compared = ~np.isnan(error)
         size = np.abs(np.where(compared, error, 0))
-        both = compared & ~np.isnan(shift)
+        both = compared & ~np.isnan(moved)
         off = RELATIVE_ERROR * truth
         with np.errstate(invalid="ignore"):
             near, far = error < -off, error > off
-        shares = (size, size * size, np.where(both, size, 0), np.where(both, shift, 0))
+        shares = (size, size * size, np.where(both, size, 0), np.where(both, moved, 0))
         for k, weight in enumerate((None, compared, near, far, *shares)):
             sums = np.bincount(cell, weight, minlength=self._sums[k].size)
             self._sums[k] += sums.reshape(self._sums[k].shape)
@@ -190,7 +190,7 @@ class PixelSums:
     ) -> RegionErrors:
         """Errors of a region: index of the range, interior and dynamic 0 or 1; default: all."""
         cells = self._sums[:, ranges, interior, dynamic]
-        pixels, compared, near, far, absolute, squared, own, shift = (
+        pixels, compared, near, far, absolute, squared, own, moved = (
             float(cell.sum()) for cell in cells
         )
         return RegionErrors(
@@ -198,7 +198,7 @@ class PixelSums:
             compared=round(compared),
             mae=ratio(absolute, compared),
             rmse=math.sqrt(ratio(squared, compared)),
-            shifts=ratio(own, shift),
+            edge_displacement=ratio(own, moved),
             too_near=percent(near, compared),
             too_far=percent(far, compared),
         )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream
 from docdepth.evaluation.depth_metrics import RELATIVE_ERROR
-from docdepth.evaluation.held_out import JudgedView
+from docdepth.evaluation.held_out import HeldOutView
 from docdepth.evaluation.label_counts import ignored, moving
 from docdepth.evaluation.tables import Table
 from docdepth.geometry.points import DYNAMIC, STATIC
@@ -205,9 +205,8 @@ class HeldOutPage(ErrorPage):
         times: NDArray[np.int64],
     ) -> None:
         what = (
-            f"Depth maps against {left_out}: each map is drawn without the returns that judge it, "
-            f"as the LiDAR would see it. Each return up to {max_range:g} m is compared with its "
-            "pixel."
+            f"Depth maps against {left_out}: each map is drawn without them, as the LiDAR would "
+            f"see it. Each return up to {max_range:g} m is compared with its pixel."
         )
         titles = {"error": "errors at the returns", "depth": "depth map", "truth": "returns"}
         titles["image"] = "photo of that time"
@@ -216,7 +215,7 @@ class HeldOutPage(ErrorPage):
         super().__init__(title, what, titles, legends, _SHARE_WRONG, "views")
         self._max_range, self._stream, self._times = max_range, stream, times
 
-    def look(self, view: JudgedView) -> None:
+    def look(self, view: HeldOutView) -> None:
         """Add a view."""
         truth = np.where(view.truth <= self._max_range, view.truth, np.float32(np.nan))
         score, caption = _wrong(view.depth, truth)

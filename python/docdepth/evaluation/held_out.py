@@ -44,12 +44,12 @@ class HeldOutResult(Figures):
     Attributes
     ----------
     sweeps : int
-        Number of sweeps that were judged, one at a time.
+        Number of sweeps that were left out, one at a time.
     max_range : float
         Returns at a larger depth are not compared [m].
     all, static, dynamic : RegionErrors
-        All returns, and those that the run itself classified as static or dynamic. ``shifts`` is
-        NaN: returns are too sparse for a map that is moved by a pixel.
+        All returns, and those that the run itself classified as static or dynamic. Their
+        ``edge_displacement`` is NaN: returns are too sparse for a map that is moved by a pixel.
     by_range : tuple of Band
         Returns with ``near < depth <= far`` [m].
     clear : RegionErrors
@@ -99,7 +99,7 @@ class HeldOutResult(Figures):
         distances = {"all": self.point_to_point, "clear": self.clear_point_to_point}
         cells = []
         for name, errors in rows.items():
-            *figures, _, near, far = errors.cells()  # without the column of shifts
+            *figures, _, near, far = errors.cells()  # without the column of edge displacement
             distance = number(distances.get(name, math.nan), 3)
             cells.append((name, *figures, near, far, distance))
         title = f"depth against {self.sweeps} {self.left_out}, returns up to {self.max_range:g} m"
@@ -115,8 +115,8 @@ _NOTE = (
 
 
 @dataclass(frozen=True)
-class JudgedView:
-    """A depth map and the returns that judge it.
+class HeldOutView:
+    """A depth map and the returns that were left out of it.
 
     Attributes
     ----------
@@ -148,7 +148,7 @@ def evaluate_held_out(
     threads: int = 0,
     progress: Progress | None = None,
     left_out: LeftOut | None = None,
-    look: Callable[[JudgedView], None] | None = None,
+    look: Callable[[HeldOutView], None] | None = None,
 ) -> HeldOutResult:
     """Compare depth maps with returns of the run's own sweeps that they are drawn without.
 
@@ -162,7 +162,7 @@ def evaluate_held_out(
     run : Path, str or RunFolder
         Run folder with classified sweeps and the calibration of a camera.
     every : int
-        Judge by every n-th sweep, one at a time.
+        Leave out every n-th sweep, one at a time.
     max_range : float
         Returns at a larger depth are not compared [m].
     camera : str, optional
@@ -174,7 +174,7 @@ def evaluate_held_out(
     left_out : LeftOut, optional
         Beams of the sweep, or a LiDAR of the rig in all sweeps; the whole sweep if left out.
     look : callable, optional
-        Called with each :class:`JudgedView`.
+        Called with each :class:`HeldOutView`.
 
     Returns
     -------
@@ -195,11 +195,11 @@ def evaluate_held_out(
             f"{count} sweeps, each {every}-th left out: give every >= 1 and at least 3 sweeps, so "
             "that one between the first and the last can be left out"
         )
-    judged = range(1 + (min(every, count - 2) - 1) // 2, count - 1, every)
+    evaluated = range(1 + (min(every, count - 2) - 1) // 2, count - 1, every)
     sums, left_out = PixelSums(max_range, RANGE_BINS), left_out or LeftOut()
     distances = np.zeros((2, 2))  # sum and number, of all and of clear returns
     views = _HeldOutViews(folder, camera, threads, left_out)
-    for done, index in enumerate(judged):
+    for done, index in enumerate(evaluated):
         view = views.view(index)
         with np.errstate(invalid="ignore"):
             compared = view.truth <= max_range  # false for pixels without a return
@@ -217,10 +217,10 @@ def evaluate_held_out(
         if look:
             look(view)
         if progress:
-            progress("held out", done + 1, len(judged))
+            progress("held out", done + 1, len(evaluated))
     of_all, of_clear = distances.tolist()
     return HeldOutResult(
-        sweeps=len(judged),
+        sweeps=len(evaluated),
         max_range=max_range,
         all=sums.errors(),
         static=sums.errors(dynamic=0),
@@ -246,7 +246,7 @@ class _HeldOutViews:
         self._tracks = tracks_in(folder.path)
         self._sweeps: dict[tuple[int, bool, bool], RenderSweep] = {}
 
-    def view(self, index: int) -> JudgedView:
+    def view(self, index: int) -> HeldOutView:
         """What is left out of sweep ``index``, and the depth map without it."""
         frame, classid = self._folder.classified_frame(index)
         view = self._left_out.view(frame)
@@ -262,7 +262,7 @@ class _HeldOutViews:
             for k in (index - 1, index + 1)
         )
         clear = (row >= 0) & self._left_out.clear(frame, neighbours)[row]
-        return JudgedView(index, frame.name, depth, truth, classes, clear)
+        return HeldOutView(index, frame.name, depth, truth, classes, clear)
 
     def _depth_without(
         self, index: int, T_camera_lidar: NDArray[np.float64]
@@ -286,10 +286,10 @@ class _HeldOutViews:
         drawn = render_list(view, others, sweeps.__getitem__, p.render, tracks)
         return compose_depth(drawn, self._threads)
 
-    def _sweep(self, index: int, whole: bool, judged: bool) -> RenderSweep:
-        """Sweep ``index`` without what is left out of all sweeps, or of the judged one."""
+    def _sweep(self, index: int, whole: bool, evaluated: bool) -> RenderSweep:
+        """Sweep ``index`` without what is left out of all sweeps, or of the evaluated one."""
         frame, _ = self._folder.classified_frame(index)
-        if judged or self._left_out.lidar is not None:
+        if evaluated or self._left_out.lidar is not None:
             frame = frame.select(~self._left_out.rows(frame))
         p = self._parameters.render
         return prepare_sweep(frame, index, self._trajectory, p, self._tracks, whole)

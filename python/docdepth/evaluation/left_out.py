@@ -1,4 +1,4 @@
-"""What is left out of a depth map that is judged by it: a sweep, a part of it, or a whole LiDAR."""
+"""What is left out of a depth map and compared with it: a sweep, a part of it, or a LiDAR."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _BAND_DEG = 0.2  # least height of a beam; returns of sharper ones lie together
 
 
 class Neighbour(NamedTuple):
-    """A sweep near the judged one, and ``T_neighbour_lidar``, (4, 4)."""
+    """A sweep near the evaluated one, and ``T_neighbour_lidar``, (4, 4)."""
 
     frame: LidarFrame
     T_neighbour_lidar: NDArray[np.float64]
@@ -32,7 +32,7 @@ class Neighbour(NamedTuple):
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Which returns judge the depth that is drawn without them.
+    """Which returns are left out of the depth and then compared with it.
 
     Attributes
     ----------
@@ -61,11 +61,11 @@ class LeftOut:
 
     @property
     def whole_sweep(self) -> bool:
-        """Whether nothing of the judged sweep is drawn."""
+        """Whether nothing of the evaluated sweep is drawn."""
         return self.lidar is None and self.beams is None and self.sectors is None
 
     def view(self, frame: LidarFrame) -> LidarView:
-        """The returns that judge, as the LiDAR that measured them saw them; other rows are NaN.
+        """The returns that are left out, as their LiDAR saw them; other rows are NaN.
 
         Raises
         ------
@@ -103,7 +103,7 @@ class LeftOut:
         return np.asarray((beam_of(view, frame.sensor_rig) % self.beams == self.beams // 2) & own)
 
     def clear(self, frame: LidarFrame, neighbours: Iterable[Neighbour] = ()) -> NDArray[np.bool_]:
-        """Which returns can be judged to the pixel, (N,): it is clear what their pixel shows.
+        """Which returns can be compared to the pixel, (N,): it is clear what their pixel shows.
 
         A return beside a depth edge of its own sweep may fall into a pixel of the other side. Where
         a LiDAR of a rig was left out, the others tell two things more. A return between the two

@@ -119,7 +119,7 @@ def track_packages() -> tuple[Any, Any]:
         from scipy import optimize
     except ImportError as error:
         raise MissingExtraError(
-            f'tracks are judged with motrics and scipy: pip install "docdepth[tracks]" ({error})'
+            f'tracks are evaluated with motrics and scipy: pip install "docdepth[tracks]" ({error})'
         ) from error
     return motrics, optimize
 

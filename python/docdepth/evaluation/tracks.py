@@ -284,9 +284,9 @@ class TrackEvaluation:
             speed = np.inf if speeds is None else float(np.median(speeds[rows]))
             self._objects[key].add(speed, seconds, LabelCounts())
         # Points without a label, and moving ones of no object, say nothing.
-        judged = ~ignored(labels) & ~(moves & (number_of == 0))
-        true = np.where(moves, number_of, 0)[judged]
-        overlaps = Overlaps.of(true, np.asarray(instance).astype(np.int64)[judged])
+        evaluated = ~ignored(labels) & ~(moves & (number_of == 0))
+        true = np.where(moves, number_of, 0)[evaluated]
+        overlaps = Overlaps.of(true, np.asarray(instance).astype(np.int64)[evaluated])
         there, here = (np.eye(4) if T is None else T for T in (T_true_lidar, T_made_lidar))
         self._sweeps.append((overlaps, time, there, here))
         self._with_speeds += speeds is not None
@@ -307,14 +307,14 @@ class TrackEvaluation:
         for o, *_ in self._sweeps:
             often.update(o.true[o.true_points >= MIN_RETURNS].tolist())
         counted = {k for k, n in often.items() if n >= MIN_SWEEPS and self._objects[k].seen_to_move}
-        judged = []
+        evaluated = []
         for o, *_ in self._sweeps:
             among = np.isin(o.true, sorted(counted)) & (o.true_points >= MIN_RETURNS)
-            judged.append(o.without(~among, MIN_RETURNS))
-        matches = [o.matches() for o in judged]
+            evaluated.append(o.without(~among, MIN_RETURNS))
+        matches = [o.matches() for o in evaluated]
         matched = Counter(true for pairs in matches for true, _ in pairs)
         boxes = list(self._boxes(matches))
-        drive = over_drive(judged)
+        drive = over_drive(evaluated)
         right, points = right_points(drive), dict(zip(drive.true, drive.true_points, strict=True))
 
         def row(among: tuple[str, ...]) -> KindResult:
@@ -337,7 +337,7 @@ class TrackEvaluation:
             f"{MIN_TRAVEL:g} m in view, matched by points"
         )
         rows = {name: row(among) for name, among in _ROWS.items()}
-        return TrackResult(protocol, self._poses, len(judged), track_scores(judged), rows)
+        return TrackResult(protocol, self._poses, len(evaluated), track_scores(evaluated), rows)
 
     def _boxes(self, matches: Sequence[list[tuple[int, int]]]) -> Iterator[MatchedBox]:
         """The boxes of matched objects that both have a track."""

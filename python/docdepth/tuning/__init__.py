@@ -4,9 +4,9 @@ Each parameter set is a trial: a run folder that shares the files of the run and
 its parameters change. Trials are scored by true labels, true depth maps or left-out sweeps.
 """
 
-from docdepth.tuning.judge import Judge
+from docdepth.tuning.objective import Objective
 from docdepth.tuning.results import Outcome, means, plot, table
 from docdepth.tuning.trials import Trial, grid, read_trials
 from docdepth.tuning.tune import tune
 
-__all__ = ["Judge", "Outcome", "Trial", "grid", "means", "plot", "read_trials", "table", "tune"]
+__all__ = ["Objective", "Outcome", "Trial", "grid", "means", "plot", "read_trials", "table", "tune"]

@@ -32,7 +32,7 @@ COLUMNS = {
     "depth": {"pixels": ("all.pixels", "pixels", 0), **_ERRORS},
     "held-out": {"returns": ("all.pixels", "returns", 0), **_ERRORS},
 }
-"""Metric, heading and digits of each column, by judge."""
+"""Metric, heading and digits of each column, by objective."""
 
 _PLOTTED = {"labels": ("iou", "precision"), "depth": ("mae", "density")}
 

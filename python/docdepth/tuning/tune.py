@@ -25,7 +25,7 @@ from docdepth.pipeline.plan import require
 from docdepth.pipeline.render import run_render
 from docdepth.pipeline.run_cameras import add_cameras, run_cameras
 from docdepth.pipeline.run_inputs import known_poses, open_recording, recording_of
-from docdepth.tuning.judge import LABELS, Judge
+from docdepth.tuning.objective import LABELS, Objective
 from docdepth.tuning.results import Outcome, write_csv
 from docdepth.tuning.trials import Trial
 
@@ -38,7 +38,7 @@ _NOT_SHARED = ("run.yaml", "lock", "records", "odometry", "map")
 
 def tune(
     runs: Sequence[Path],
-    judges: Sequence[Judge],
+    objectives: Sequence[Objective],
     trials: Sequence[Trial],
     out: Path,
     jobs: int = 1,
@@ -55,7 +55,7 @@ def tune(
     ----------
     runs : sequence of Path
         Run folders; they are only read.
-    judges : sequence of Judge
+    objectives : sequence of Objective
         Of each run; all of one kind.
     trials : sequence of Trial
     out : Path
@@ -76,7 +76,7 @@ def tune(
     ------
     ConfigError
         Two trials have the same name, a name cannot name a folder, a parameter is unknown or
-        cannot matter to the judge, or ``out`` lies in a run.
+        cannot matter to the objective, or ``out`` lies in a run.
     RunError
         What trials share with a run is missing or out of date.
     DatasetError
@@ -87,25 +87,27 @@ def tune(
         if names.count(name) > 1 or not name.strip(".") or set(name) & set("/\\\0"):
             raise ConfigError(f"{name!r} cannot name a trial: names must be unique folder names")
     tasks = []
-    for k, (run, judge) in enumerate(zip(runs, judges, strict=True), 1):
+    for k, (run, objective) in enumerate(zip(runs, objectives, strict=True), 1):
         if out.resolve().is_relative_to(run.resolve()):
             raise ConfigError(f"{out} lies in the run {run}, which stays as it is")
         source = RunFolder.open(run)
         own, state = source.parameters, _state(source)
-        chosen = [_checked(source, judge, trial) for trial in trials]
-        judge.check(source)
-        shared = any("render" in judge.stages and not _differing(own, p, *LABELS) for p in chosen)
+        chosen = [_checked(source, objective, trial) for trial in trials]
+        objective.check(source)
+        shared = any(
+            "render" in objective.stages and not _differing(own, p, *LABELS) for p in chosen
+        )
         require(source, "classify" if shared else "odometry")
         folder = out / f"{k}_{run.resolve().name}"
         for trial, p in zip(trials, chosen, strict=True):
-            tasks.append(_Task(run, judge, folder, trial, p, state, threads))
+            tasks.append(_Task(run, objective, folder, trial, p, state, threads))
     _run_tasks([task for task in tasks if task.outcome() is None], jobs, len(tasks), progress)
     outcomes = [found for task in tasks if (found := task.outcome()) is not None]
-    write_csv(outcomes, judges[0].by, out / "tune.csv")
+    write_csv(outcomes, objectives[0].by, out / "tune.csv")
     return outcomes
 
 
-def _checked(source: RunFolder, judge: Judge, trial: Trial) -> Parameters:
+def _checked(source: RunFolder, objective: Objective, trial: Trial) -> Parameters:
     """The parameters of a trial, if it can be made of this run and can change its score."""
     chosen, own, inputs = (
         trial.parameters(source.parameters),
@@ -116,7 +118,7 @@ def _checked(source: RunFolder, judge: Judge, trial: Trial) -> Parameters:
         stage = name.partition(".")[0]
         if stage == "output":
             raise trial.refused(f"{name} changes the files that are written, not the depth in them")
-        if name != "preset" and stage not in judge.stages:
+        if name != "preset" and stage not in objective.stages:
             raise trial.refused(f"{name} does not change labels; score by depth or left-out sweeps")
     if inputs is None and _differing(own, chosen, "odometry"):
         raise trial.refused(f"{source.path} was not made of a recording; its odometry is given")
@@ -139,7 +141,7 @@ class _Task:
     """One trial and everything that a worker process needs to make it."""
 
     run: Path
-    judge: Judge
+    objective: Objective
     out: Path
     trial: Trial
     parameters: Parameters
@@ -150,12 +152,12 @@ class _Task:
     def key(self) -> str:
         """Hash of all that the score depends on."""
         values = self.parameters.model_dump(mode="json")
-        used = {stage: values[stage] for stage in (*self.judge.stages, "output")}
-        judged = [str(self.judge), self.judge.truth_files()]
-        return stage_key([__version__, self.state, judged], used)
+        used = {stage: values[stage] for stage in (*self.objective.stages, "output")}
+        compared = [str(self.objective), self.objective.truth_files()]
+        return stage_key([__version__, self.state, compared], used)
 
     def outcome(self) -> Outcome | None:
-        """The stored score, if it is of the same run, parameters, judge and version."""
+        """The stored score, if it is of the same run, parameters, objective and version."""
         try:
             found = json.loads(self._file.read_text(encoding="utf-8"))
             if found["key"] != self.key:
@@ -175,7 +177,7 @@ class _Task:
         if trial.manifest.trial != self.key:
             trial = self._begin(path, source)
         self._make(trial, source)
-        metrics = self.judge.measure(path, self.threads)
+        metrics = self.objective.measure(path, self.threads)
         if _state(RunFolder.open(self.run)) != self.state:
             raise RunError(
                 f"another command has changed {self.run} meanwhile; run the same command again"
@@ -216,17 +218,17 @@ class _Task:
         return trial
 
     def _make(self, trial: RunFolder, source: RunFolder) -> None:
-        """Make all that the judge looks at and that the parameters change."""
+        """Make all that the objective compares and that the parameters change."""
         if _differing(source.parameters, self.parameters, "odometry"):
             recording = open_recording(trial.inputs, trial.manifest.derived)
             poses = known_poses(trial.inputs, recording)
             run_odometry(trial, recording, poses, threads=self.threads)
         run_classify(trial, self.threads)
-        if self.judge.by == "depth":
+        if self.objective.by == "depth":
             recording = recording_of(trial)
             if not trial.cameras:
                 add_cameras(trial, list(recording.cameras.values()))
-            name = trial.camera_in(trial.depth_folder(self.judge.camera))
+            name = trial.camera_in(trial.depth_folder(self.objective.camera))
             cameras = run_cameras(trial, recording, [name])
             run_render(trial, [camera.stream for camera in cameras], self.threads)
 

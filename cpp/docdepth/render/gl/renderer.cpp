@@ -205,22 +205,22 @@ std::vector<float> GlRenderer::render_triangles(const Camera& camera, const Mesh
       return widened(inverse_depth(gl, camera, meshes), camera.width, stride);
     };
     const Columns columns{0, camera.width, camera.height, stride};
-    DepthHypotheses hypotheses(columns, drawn(scene.trusted), drawn(scene.continued));
+    DepthHypotheses hypotheses(columns, drawn(scene.nearest), drawn(scene.extrapolated));
     for (const auto& mesh : scene.others) hypotheses.add(drawn({mesh}).data());
     auto static_depth = hypotheses.resolve(camera, scene.rays);
-    std::vector<std::uint16_t> wide(static_depth.size(), 0), owners;
+    std::vector<std::uint16_t> wide(static_depth.size(), 0), shown_objects;
     std::uint16_t number = 0;
     for (const auto& object : scene.dynamic_objects)
       add_dynamic_object(columns, object.bounds, camera,
-                         {drawn(object.trusted), drawn(object.others), drawn(object.continued)},
+                         {drawn(object.nearest), drawn(object.others), drawn(object.extrapolated)},
                          object.rays, ++number, static_depth, wide);
     std::vector<float> depth(std::size_t(camera.width) * camera.height);
     for (std::size_t i = 0; i < depth.size(); ++i) {
       const std::size_t from = i / camera.width * stride + i % camera.width;
       depth[i] = static_depth[from] > 0 ? 1.0f / static_depth[from] : kNone;
-      owners.push_back(wide[from]);
+      shown_objects.push_back(wide[from]);
     }
-    mask_unobserved_background(camera, scene, owners, depth, 0);
+    mask_unobserved_background(camera, scene, shown_objects, depth, 0);
     return depth;
   });
 }

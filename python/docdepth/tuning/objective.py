@@ -18,7 +18,7 @@ _TRUTH = {"labels": "labels", "depth": "depth_2"}
 
 
 @dataclass(frozen=True)
-class Judge:
+class Objective:
     """What trials are scored by.
 
     Parameters
