@@ -24,8 +24,7 @@ from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.dynamic_objects import dynamic_objects
-from docdepth.render.in_view import TracksInView
-from docdepth.render.object_views import MAX_NONRIGID_SECONDS, _in_view
+from docdepth.render.object_views import MAX_NONRIGID_SECONDS, TracksInView, _in_view
 from docdepth.render.render_sweep import RenderSweep
 
 CAMERA = small_camera(focal=600)  # 15 degrees wide; the LiDAR sees 69

@@ -90,9 +90,9 @@ def demo(
 
 def _write_drive_of_demo(output: Path, frames: int, progress: Progress) -> None:
     """Write the drive, if it is not there; another one is refused."""
-    drive = {"scene": "city", "seed": 0, "frames": frames}
+    drive = "city", 0, frames
     about = written_drive(sequence_folder(output / "drive"))
-    if about is not None and {name: about[name] for name in drive} != drive:
+    if about is not None and (about["scene"], about["seed"], about["frames"]) != drive:
         raise DatasetError(
             f"{output} holds the demo of another drive ({described(about)}), not of {frames} "
             "frames; choose another folder with -o, or delete this one"

@@ -23,7 +23,7 @@ from docdepth.evaluation.depth_metrics import RANGE_BINS, PixelSums, RegionError
 from docdepth.evaluation.left_out import LeftOut, Neighbour
 from docdepth.evaluation.nearest import cloud_distance
 from docdepth.evaluation.pixels import points_of, project
-from docdepth.evaluation.tables import Band, Figures, Table, number, ratio
+from docdepth.evaluation.tables import Band, Figures, Table, number, plain, ratio
 from docdepth.geometry.camera import View
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.se3 import inverse
@@ -86,8 +86,9 @@ class HeldOutResult(Figures):
     def as_dict(self) -> dict[str, object]:
         """All metrics by name, ready for JSON; None replaces NaN."""
         result = super().as_dict()
-        result["all"]["point_to_point"] = result.pop("point_to_point")
-        result["clear"]["point_to_point"] = result.pop("clear_point_to_point")
+        result["all"] = plain(self.all) | {"point_to_point": result.pop("point_to_point")}
+        between = result.pop("clear_point_to_point")
+        result["clear"] = plain(self.clear) | {"point_to_point": between}
         result["camera"] = {name: result.pop(f"camera_{name}") for name in ("mae", "wrong")}
         return result
 

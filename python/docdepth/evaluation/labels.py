@@ -25,7 +25,7 @@ from docdepth.evaluation.label_counts import (
     instances,
     moving,
 )
-from docdepth.evaluation.tables import Band, Figures, Table, number
+from docdepth.evaluation.tables import Band, Figures, Table, number, plain
 
 # Points of objects that stand at that moment and move at another: names and headings.
 _STANDING = (
@@ -99,7 +99,8 @@ class LabelResult(Figures):
         result = super().as_dict()
         for name, _ in _STANDING:
             if name in result:
-                result[name] = {"points": result[name]["dynamic"], "da": result[name]["da"]}
+                counts = plain(getattr(self, name))
+                result[name] = {"points": counts["dynamic"], "da": counts["da"]}
         return result
 
     def table(self) -> Table:

@@ -41,9 +41,9 @@ class Figures:
     derived: ClassVar[tuple[str, ...]] = ()  # properties that are figures, too
     flat: ClassVar[tuple[str, ...]] = ()  # fields whose figures stand among the others
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """All figures by name, ready for JSON; None replaces NaN."""
-        result: dict[str, Any] = {}
+        result: dict[str, object] = {}
         for name in (*self.__dataclass_fields__, *self.derived):  # type: ignore[attr-defined]
             value = getattr(self, name)
             if value is not None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,10 +77,7 @@ class LidarFrame(ShortRepr):
 
     def select(self, rows: NDArray[np.bool_]) -> LidarFrame:
         """The frame with some of its points."""
-        chosen: dict[str, Any] = {
-            field.name: values[rows]
-            for field in fields(self)
-            if isinstance(values := getattr(self, field.name), np.ndarray)
-        }
+        names = [name for name, values in vars(self).items() if isinstance(values, np.ndarray)]
+        columns = {name: getattr(self, name)[rows] for name in names}
         rig = self.sensor_rig
-        return replace(self, **chosen, sensor_rig=None if rig is None else rig.select(rows))
+        return replace(self, **columns, sensor_rig=None if rig is None else rig.select(rows))

@@ -31,11 +31,9 @@ from docdepth.pipeline.run_cameras import RunCamera, add_cameras, camera_paramet
 from docdepth.pipeline.stage import Profile, Stage
 from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import compose_depth, render_list
-from docdepth.render.in_view import TracksInView
 from docdepth.render.layers import check_layers, compose_layers
-from docdepth.render.object_views import EXTRAPOLATION_NS
-from docdepth.render.render_sweep import RenderSweep, prepare_sweep
-from docdepth.render.scene import SweepCache
+from docdepth.render.object_views import EXTRAPOLATION_NS, TracksInView
+from docdepth.render.render_sweep import RenderSweep, SweepCache, prepare_sweep
 from docdepth.render.selection import needed_sweeps, times_needed
 from docdepth.visualization.report import index_is_whole, write_report
 

@@ -1,8 +1,10 @@
-"""A sweep prepared for rendering (paper V-B)."""
+"""Sweeps prepared for rendering, and kept as long as images need them (paper V-B)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from concurrent.futures import Executor, Future
+from threading import Lock
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -139,6 +141,42 @@ def prepare_sweep(
     time, pose = int(trajectory.times[index]), trajectory.poses[index]
     objects = dynamic_objects(frame, time, pose, tracks, is_drawn)
     return RenderSweep(frame, parameters, trajectory.velocity(index), objects)
+
+
+class SweepCache:
+    """Prepares each sweep the first time it is needed and forgets it when it no longer is.
+
+    Safe to use from several threads.
+
+    Parameters
+    ----------
+    load : callable
+        Prepares a sweep, given its index and whether it is needed whole; called from
+        the threads of an executor.
+    """
+
+    def __init__(self, load: Callable[[int, bool], RenderSweep]) -> None:
+        self._load = load
+        self._sweeps: dict[tuple[int, bool], Future[RenderSweep]] = {}
+        self._lock = Lock()
+
+    def request(
+        self, needed: Collection[tuple[int, bool]], executor: Executor
+    ) -> dict[tuple[int, bool], Future[RenderSweep]]:
+        """Start to prepare the missing sweeps of ``needed``; forget all others.
+
+        Returns
+        -------
+        dict of (int, bool) to Future
+            The needed sweeps. They stay valid when another thread requests others.
+        """
+        with self._lock:
+            kept = {i: sweep for i, sweep in self._sweeps.items() if i in needed}
+            for i in sorted(needed):
+                if i not in kept or (kept[i].done() and kept[i].exception() is not None):
+                    kept[i] = executor.submit(self._load, *i)
+            self._sweeps = kept
+            return dict(kept)
 
 
 def _within_crop(

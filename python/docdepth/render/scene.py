@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from threading import Lock
 from typing import Any, Protocol, TypeAlias
@@ -24,7 +24,7 @@ from docdepth.odometry.sweeps import AnySweep, lidar_frame
 from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import RenderList, compose_depth, render_list
 from docdepth.render.layers import check_layers, compose_layers
-from docdepth.render.render_sweep import RenderSweep, prepare_sweep
+from docdepth.render.render_sweep import RenderSweep, SweepCache, prepare_sweep
 from docdepth.render.selection import needed_sweeps
 
 
@@ -36,42 +36,6 @@ class HasClasses(Protocol):
 
 
 Classes: TypeAlias = HasClasses | NDArray[np.uint16]
-
-
-class SweepCache:
-    """Prepares each sweep the first time it is needed and forgets it when it no longer is.
-
-    Safe to use from several threads.
-
-    Parameters
-    ----------
-    load : callable
-        Prepares a sweep, given its index and whether it is needed whole; called from
-        the threads of an executor.
-    """
-
-    def __init__(self, load: Callable[[int, bool], RenderSweep]) -> None:
-        self._load = load
-        self._sweeps: dict[tuple[int, bool], Future[RenderSweep]] = {}
-        self._lock = Lock()
-
-    def request(
-        self, needed: Collection[tuple[int, bool]], executor: Executor
-    ) -> dict[tuple[int, bool], Future[RenderSweep]]:
-        """Start to prepare the missing sweeps of ``needed``; forget all others.
-
-        Returns
-        -------
-        dict of (int, bool) to Future
-            The needed sweeps. They stay valid when another thread requests others.
-        """
-        with self._lock:
-            kept = {i: sweep for i, sweep in self._sweeps.items() if i in needed}
-            for i in sorted(needed):
-                if i not in kept or (kept[i].done() and kept[i].exception() is not None):
-                    kept[i] = executor.submit(self._load, *i)
-            self._sweeps = kept
-            return dict(kept)
 
 
 class Scene:

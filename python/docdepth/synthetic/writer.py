@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TypedDict, cast
 
 import cv2
 import numpy as np
@@ -32,6 +32,21 @@ _KINDS = {
     "depth_2": "npy",
     "class_2": "npy",
 }
+
+
+class _MadeOf(TypedDict):
+    scene: str
+    sensor: str
+    seed: int
+    frames: int
+
+
+class WrittenDrive(_MadeOf, total=False):
+    """How a synthetic drive was made, as the file beside it keeps it."""
+
+    motion_compensated: bool
+    beam_width_deg: float
+    blooming_deg: float
 
 
 def write_drive(
@@ -86,17 +101,20 @@ def write_drive(
     DatasetError
         ``out`` is a file, or not empty and not this drive, unfinished.
     """
-    about: dict[str, Any] = {"scene": scene, "sensor": sensor, "seed": seed, "frames": frames}
-    about["motion_compensated"] = not skew
-    about |= {"beam_width_deg": beam_width_deg} if beam_width_deg else {}
-    about |= {"blooming_deg": blooming_deg} if blooming_deg else {}
+    about = WrittenDrive(
+        scene=scene, sensor=sensor, seed=seed, frames=frames, motion_compensated=not skew
+    )
+    if beam_width_deg:
+        about["beam_width_deg"] = beam_width_deg
+    if blooming_deg:
+        about["blooming_deg"] = blooming_deg
     folder = sequence_folder(out)
     _make_room(Path(out), folder, about, force)
     width, blooming = np.radians((beam_width_deg, blooming_deg)).tolist()
     lidar = replace(make_sensor(sensor), beam_width=width, blooming=blooming)
     drive = Drive(make_scene(scene, seed), lidar, frames, seed, skew)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / _UNFINISHED).write_text(yaml.safe_dump(about, sort_keys=False))
+    (folder / _UNFINISHED).write_text(yaml.safe_dump(dict(about), sort_keys=False))
     _write_frame_of_reference(folder, drive)
     returns = np.zeros((frames, len(drive.scene.actors) + 1), np.int64)
     for k in range(frames):
@@ -123,26 +141,19 @@ def sequence_folder(out: str | Path) -> Path:
     return Path(out) / "sequences" / "00"
 
 
-def written_drive(folder: Path) -> dict[str, Any] | None:
-    """How the synthetic drive in a sequence folder was made, finished or not; None: it is none.
-
-    Returns
-    -------
-    dict or None
-        ``scene``, ``sensor``, ``seed``, ``frames``, ``motion_compensated``, perhaps
-        ``blooming_deg``.
-    """
+def written_drive(folder: Path) -> WrittenDrive | None:
+    """How the synthetic drive in a sequence folder was made, finished or not; None: it is none."""
     for name in (_ABOUT, _UNFINISHED):
         try:
             about = yaml.safe_load((folder / name).read_text(encoding="utf-8"))
         except (OSError, UnicodeError, yaml.YAMLError):
             continue
         if isinstance(about, dict) and {"scene", "sensor", "seed", "frames"} <= set(about):
-            return about
+            return cast(WrittenDrive, about)
     return None
 
 
-def _make_room(out: Path, folder: Path, about: dict[str, Any], force: bool) -> None:
+def _make_room(out: Path, folder: Path, about: WrittenDrive, force: bool) -> None:
     """Refuse to write over anything but this drive, unfinished, and with ``force`` another one."""
     if (out.exists() or out.is_symlink()) and not out.is_dir():
         raise DatasetError(f"{out} is no folder; choose another name for the drive")
@@ -160,7 +171,7 @@ def _make_room(out: Path, folder: Path, about: dict[str, Any], force: bool) -> N
         raise DatasetError(f"{out} is not empty: it holds {listed}; choose another folder")
 
 
-def described(about: dict[str, Any]) -> str:
+def described(about: WrittenDrive) -> str:
     """A synthetic drive in words."""
     return f"{about['scene']}, {about['sensor']}, {about['frames']} frames, seed {about['seed']}"
 

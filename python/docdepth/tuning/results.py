@@ -8,8 +8,9 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+from docdepth.config import Settings
 from docdepth.errors import MissingExtraError
 from docdepth.evaluation.tables import Table, number
 from docdepth.io.atomic import write_atomically
@@ -55,15 +56,15 @@ class Outcome:
 
     run: str
     name: str
-    settings: dict[str, Any]
-    metrics: dict[str, Any]
+    settings: Settings
+    metrics: Mapping[str, object]
 
     def metric(self, name: str) -> float:
         """A metric by dotted name (``all.mae``); NaN where it is undefined."""
         return metric_of(self.metrics, name)
 
 
-def metric_of(metrics: Mapping[str, Any], name: str) -> float:
+def metric_of(metrics: Mapping[str, object], name: str) -> float:
     """A metric by dotted name (``all.mae``); NaN where it is undefined."""
     value: Any = metrics
     for part in name.split("."):
@@ -134,12 +135,12 @@ def plot(outcomes: Sequence[Outcome], by: str, path: Path) -> None:
     )
     drawn, axis = means(outcomes), _varying_parameter(outcomes)
     if axis is not None:
-        drawn.sort(key=lambda outcome: outcome.settings[axis])
+        drawn.sort(key=lambda outcome: cast(float, outcome.settings[axis]))
     ones, others = ([outcome.metric(name) for outcome in drawn] for name in (first, second))
     figure = Figure(figsize=(8, max(4.5, 0.2 * len(drawn))), layout="constrained")
     left = figure.subplots()
     if axis is not None:
-        values = [outcome.settings[axis] for outcome in drawn]
+        values = [cast(float, outcome.settings[axis]) for outcome in drawn]
         left.plot(values, ones, "o-", label=label)
         right = left.twinx()
         right.plot(values, others, "s--", color="tab:orange", label=other)

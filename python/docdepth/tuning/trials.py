@@ -6,13 +6,13 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import yaml
 
 from docdepth._parameter_text import read_yaml
 from docdepth._yaml_text import explain_yaml
-from docdepth.config import Parameters, parameters, replaced
+from docdepth.config import Parameters, Preset, Settings, parameters, replaced
 from docdepth.errors import ConfigError
 
 
@@ -32,7 +32,7 @@ class Trial:
     """
 
     name: str
-    settings: dict[str, Any]
+    settings: Settings
     given: str = field(default="", compare=False)
 
     def refused(self, why: str) -> ConfigError:
@@ -53,7 +53,7 @@ class Trial:
             if preset is None:
                 return replaced(base, settings)
             output = {f"output.{name}": value for name, value in base.output.model_dump().items()}
-            return parameters(preset, output | settings)
+            return parameters(cast(Preset, preset), output | settings)
         except ConfigError as error:
             raise self.refused(str(error)) from None
 

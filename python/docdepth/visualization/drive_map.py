@@ -247,24 +247,25 @@ def _data(
     drawn: DriveMap, trajectory: Trajectory, tracks: Sequence[Track], times: NDArray[np.int64]
 ) -> str:
     """Where LiDAR and tracks are at each time, in pixels of the picture, as JSON."""
-    found: dict[str, Any] = {
-        "times": [round(float(t) * 1e-9, 2) for t in times - trajectory.times[0]],
-        "path": _places(drawn, trajectory.interpolate(times)),
-        "ego": [round(side / drawn.cell, 1) for side in _EGO],
-        "tracks": [],
-    }
+    shown: list[dict[str, object]] = []
     for track in tracks:
         first = int(np.searchsorted(times, track.times[0]))
         after = int(np.searchsorted(times, track.times[-1], side="right"))
         if first < after:
             poses = np.array([track.pose_at(time) for time in times[first:after].tolist()])
-            found["tracks"].append({
+            shown.append({
                 "id": track.id,
                 "color": css(track_color(track.id)),
                 "size": [round(float(side) / drawn.cell, 1) for side in track.size[:2]],
                 "first": first,
                 "places": _places(drawn, poses),
             })  # fmt: skip
+    found = {
+        "times": [round(float(t) * 1e-9, 2) for t in times - trajectory.times[0]],
+        "path": _places(drawn, trajectory.interpolate(times)),
+        "ego": [round(side / drawn.cell, 1) for side in _EGO],
+        "tracks": shown,
+    }
     return json.dumps(found, separators=(",", ":"))
 
 

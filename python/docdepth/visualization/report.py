@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from docdepth._core import __version__
-from docdepth.config import Parameters
+from docdepth._parameter_text import described
+from docdepth.config import STAGES, Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import RunError
 from docdepth.geometry.track import KINDS, Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
-from docdepth.parameter_table import parameter_table
 from docdepth.visualization import drive_map
 from docdepth.visualization.image_views import CONFIDENCE_COLORS, DOUBTFUL, SEEN_COLORS
 from docdepth.visualization.page import FLIP_STYLE, flip_book, head, scale, scripts, swatches, table
@@ -293,15 +293,15 @@ def _time(run: RunFolder) -> str:
 
 
 def _parameters(chosen: Parameters) -> str:
-    values = chosen.model_dump(mode="json")
     rows = []
-    for known in parameter_table():
-        stage, _, name = known["name"].partition(".")
-        value, default = values[stage][name], known["default"]
-        if value != (list(default) if isinstance(default, tuple) else default):
-            unit = f" {known['unit']}" if known["unit"] else ""
-            rows.append((known["name"], f"{_shown(value)}{unit}", f"{_shown(default)}{unit}",
-                         known["description"]))  # fmt: skip
+    for stage, model in STAGES.items():
+        for name, field in model.model_fields.items():
+            value, default = getattr(getattr(chosen, stage), name), field.default
+            if value != default:
+                about = described(field)
+                unit = f" {about.unit}" if about.unit else ""
+                values = f"{_shown(value)}{unit}", f"{_shown(default)}{unit}"
+                rows.append((f"{stage}.{name}", *values, about.description))
     if not rows:
         return f"<p>Preset {escape(chosen.preset)}; every parameter has its default.</p>"
     header = ("parameter", "value", "default", "what it is")
