@@ -30,7 +30,7 @@ class RunConfigFile(NamedTuple):
 
     inputs: RunInputs | None
     preset: Preset
-    settings: dict[str, Any]
+    settings: dict[str, object]
 
 
 def read_config(path: Path) -> RunConfigFile:
@@ -74,9 +74,9 @@ def read_config(path: Path) -> RunConfigFile:
         raise ConfigError(f"--config {path}: {error}") from None
 
 
-def _by_name(values: dict[Any, Any]) -> dict[str, Any]:
+def _by_name(values: dict[Any, Any]) -> dict[str, object]:
     """Parameters by dotted name, from stages or from dotted names."""
-    found: dict[str, Any] = {}
+    found: dict[str, object] = {}
     for name, value in values.items():
         if name not in STAGES:
             found[str(name)] = value

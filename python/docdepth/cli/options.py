@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import inspect
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
@@ -156,8 +156,8 @@ def verb(
                 }
             return function(**values)
 
-        hints: dict[str, Any] = {}
-        defaults: dict[str, Any] = {}
+        hints: dict[str, object] = {}
+        defaults: dict[str, object] = {}
         for argument in inspect.signature(function, eval_str=True).parameters.values():
             if argument.name in fields:
                 for field_name, field in fields[argument.name].items():
@@ -243,9 +243,9 @@ def changes(
     format: list[str] | None = None,
     scale: float | None = None,
     layers: list[str] | None = None,
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Parameters that options change: those of ``--set``, and those with an option of their own."""
-    chosen: dict[str, Any] = {}
+    chosen: dict[str, object] = {}
     if format:
         chosen["output.format"] = ",".join(format)
     if scale is not None:
@@ -255,7 +255,7 @@ def changes(
     return parse_settings(settings or []) | chosen
 
 
-def reopen(path: Path, changed: dict[str, Any], *stages: str) -> RunFolder:
+def reopen(path: Path, changed: Mapping[str, object], *stages: str) -> RunFolder:
     """A run with some parameters of one stage replaced; kept in run.yaml once a stage uses them."""
     check_stages(changed, *stages)
     folder = RunFolder.open(path)
@@ -263,7 +263,7 @@ def reopen(path: Path, changed: dict[str, Any], *stages: str) -> RunFolder:
     return folder
 
 
-def check_stages(changed: dict[str, Any], *stages: str) -> None:
+def check_stages(changed: Mapping[str, object], *stages: str) -> None:
     """Refuse parameters of other stages."""
     for name in changed:
         if name.partition(".")[0] not in stages:

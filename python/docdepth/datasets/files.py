@@ -29,6 +29,8 @@ _File = TypeVar("_File")
 _Read = TypeVar("_Read")
 _MOST_NAMED = 8  # in an error
 _MOST_TRIES = 100  # sweeps or images that are tried in place of a broken one
+JsonObject = dict[str, Any]
+"""A table of a JSON file, which may hold anything."""
 FILE = "docdepth.yaml"
 """What the files of a recording do not tell."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from docdepth.datasets import Sweep
 from docdepth.diagnostics.poses import Window
 from docdepth.errors import Finding
 from docdepth.geometry.ground_plane import GroundPlane
+from docdepth.visualization.inspection import Figures
 
 
 @dataclass
@@ -33,7 +33,7 @@ class Inspection:
     ground : GroundPlane or None
     """
 
-    figures: dict[str, Any] = field(default_factory=dict)
+    figures: Figures = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
     sweeps: dict[int, Sweep] = field(default_factory=dict)
     poses: NDArray[np.float64] | None = None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from docdepth.datasets import Dataset, image_streams, usable_points
 from docdepth.diagnostics.inspection import Inspection
 from docdepth.diagnostics.poses import Window, explain_misfit, rotations_are_missing
 from docdepth.errors import Finding
+from docdepth.visualization.inspection import Figures
 
 MOVING = 0.05
 """Metres a sweep, by registration; less may be its errors."""
@@ -28,7 +28,7 @@ _WIDE_DEG = 180  # of the field of view of a LiDAR that turns
 _WANDERS = 5.0  # metres that the middle of the points moves though the points do not
 
 
-def stamp_figures(times: NDArray[np.int64]) -> dict[str, Any]:
+def stamp_figures(times: NDArray[np.int64]) -> dict[str, float | None]:
     """Count, rate, gaps and span of stamps [ns], ready for JSON."""
     pauses = np.diff(times) * 1e-9
     period = float(np.median(pauses)) if len(pauses) else None
@@ -43,12 +43,12 @@ def stamp_figures(times: NDArray[np.int64]) -> dict[str, Any]:
     }
 
 
-def camera_figures(recording: Dataset) -> list[dict[str, Any]]:
+def camera_figures(recording: Dataset) -> list[dict[str, object]]:
     """Images, rate and times against the sweeps of each camera, ready for JSON."""
     images, figures = image_streams(recording), []
     for name in dict.fromkeys([*recording.cameras, *images]):
         stream = recording.cameras.get(name) or images[name]
-        entry: dict[str, Any] = {"name": name, "images": len(stream.images)}
+        entry: dict[str, object] = {"name": name, "images": len(stream.images)}
         entry["calibrated"] = name in recording.cameras
         if stream.camera is not None:
             camera = stream.camera
@@ -147,7 +147,7 @@ def _check_rows(where: str, rows: dict[str, float], result: Inspection) -> None:
         )
 
 
-def _check_lidars(where: str, lidars: list[dict[str, Any]], result: Inspection) -> None:
+def _check_lidars(where: str, lidars: list[Figures], result: Inspection) -> None:
     for lidar in lidars:
         name, same_ray, same_point = (lidar[k] for k in ("name", "same_ray", "same_point"))
         if same_point > _SAME_POINT:

@@ -7,14 +7,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
 from docdepth.datasets.cloud import Cloud, FileLidar, cloud_from_fields, rows_of
-from docdepth.datasets.files import read_json
+from docdepth.datasets.files import JsonObject, read_json
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing
 from docdepth.datasets.pose_tables import pose_of
@@ -39,7 +38,7 @@ class Datum:
     kind: str  # ``point_cloud`` or ``image``
     time: int  # nanoseconds
     file: Path
-    entry: dict[str, Any]  # what the scene says of it
+    entry: JsonObject  # what the scene says of it
 
 
 def read_sweep(file: Path, where: str, columns: dict[Path, list[str]]) -> Cloud:
@@ -104,7 +103,7 @@ class _Calibration:
         self.file = file
         self._entries = read_json(file, _COPY)
 
-    def _of(self, what: str, name: str) -> dict[str, Any]:
+    def _of(self, what: str, name: str) -> JsonObject:
         try:
             found = self._entries[what][self._entries["names"].index(name)]
             return dict(found)
@@ -124,7 +123,7 @@ class _Calibration:
         return Camera(np.array(K, np.float64), width, height)
 
 
-def _data(path: Path, scene: dict[str, Any], file: Path) -> Iterator[Datum]:
+def _data(path: Path, scene: JsonObject, file: Path) -> Iterator[Datum]:
     """Sweeps and images in the order of the scene."""
     for entry in scene["data"]:
         for kind in ("point_cloud", "image"):
@@ -171,7 +170,7 @@ def _camera(
     )
 
 
-def _pose(entry: dict[str, Any], where: str) -> NDArray[np.float64]:
+def _pose(entry: JsonObject, where: str) -> NDArray[np.float64]:
     quaternion = (entry["rotation"][f"q{axis}"] for axis in "wxyz")
     return pose_of(quaternion, (entry["translation"][axis] for axis in "xyz"), where)
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import CameraStream, LidarStream
 from docdepth.datasets.cloud import Cloud, FileLidar, packed
 from docdepth.datasets.cloud_files import MICROSECOND, read_stamped
-from docdepth.datasets.files import one_of, read_json
+from docdepth.datasets.files import JsonObject, one_of, read_json
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing
 from docdepth.datasets.pose_tables import pose_of
@@ -33,8 +33,6 @@ _ROWS = packed(x="f4", y="f4", z="f4", intensity="f4", ring="f4")
 # nuScenes' LiDAR has x to the right and y ahead, docdepth x ahead and y to the left.
 _T_LIDAR_THEIRS = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
 
-_Row = dict[str, Any]
-
 
 @dataclass(frozen=True)
 class Tables:
@@ -42,14 +40,14 @@ class Tables:
 
     folder: Path  # ``ROOT/v1.0-mini`` or the like
 
-    def rows(self, name: str) -> list[_Row]:
+    def rows(self, name: str) -> list[JsonObject]:
         """All rows of a table."""
         rows = read_json(self.folder / f"{name}.json", _UNPACK)
         if not isinstance(rows, list) or not all(isinstance(r, dict) for r in rows):
             raise DatasetError(f"{self.folder / name}.json is no table of nuScenes; {_UNPACK}")
         return rows
 
-    def by_token(self, name: str, tokens: Iterable[str]) -> dict[str, _Row]:
+    def by_token(self, name: str, tokens: Iterable[str]) -> dict[str, JsonObject]:
         """Rows of these tokens."""
         wanted = set(tokens)
         found = {row["token"]: row for row in self.rows(name) if row.get("token") in wanted}
@@ -111,20 +109,20 @@ def _find_scene(root: Path, name: str | None) -> tuple[Tables, str]:
     return scenes[name], scenes[name].scenes[name]
 
 
-def _channels(tables: Tables, scene: str) -> dict[str, list[_Row]]:
+def _channels(tables: Tables, scene: str) -> dict[str, list[JsonObject]]:
     """Rows of ``sample_data`` of a scene by sensor, in the order of time."""
     samples = {row["token"] for row in tables.rows("sample") if row["scene_token"] == scene}
     rows = [row for row in tables.rows("sample_data") if row["sample_token"] in samples]
     places = tables.by_token("calibrated_sensor", {row["calibrated_sensor_token"] for row in rows})
     sensors = tables.by_token("sensor", {place["sensor_token"] for place in places.values()})
-    channels: dict[str, list[_Row]] = {}
+    channels: dict[str, list[JsonObject]] = {}
     for row in sorted(rows, key=lambda row: int(row["timestamp"])):
         place = places[row["calibrated_sensor_token"]]
         channels.setdefault(sensors[place["sensor_token"]]["channel"], []).append(row)
     return channels
 
 
-def _lidar(root: Path, rows: list[_Row], tables: Tables) -> FileLidar:
+def _lidar(root: Path, rows: list[JsonObject], tables: Tables) -> FileLidar:
     files = [root / row["filename"] for row in rows]
     lacking = [file for file in files if not file.is_file()]
     if lacking:
@@ -140,8 +138,8 @@ def _lidar(root: Path, rows: list[_Row], tables: Tables) -> FileLidar:
 def _camera(
     root: Path,
     name: str,
-    rows: list[_Row],
-    places: dict[str, _Row],
+    rows: list[JsonObject],
+    places: dict[str, JsonObject],
     tables: Tables,
     T_ego_lidar: NDArray[np.float64],
 ) -> CameraStream:
@@ -167,13 +165,13 @@ def _camera(
     )
 
 
-def _times(rows: list[_Row], names: list[str], tables: Tables) -> NDArray[np.int64]:
+def _times(rows: list[JsonObject], names: list[str], tables: Tables) -> NDArray[np.int64]:
     times = np.array([int(row["timestamp"]) for row in rows], np.int64) * MICROSECOND
     check_increasing(times, names, tables.folder / "sample_data.json")
     return times
 
 
-def _pose(row: _Row, tables: Tables, table: str) -> NDArray[np.float64]:
+def _pose(row: JsonObject, tables: Tables, table: str) -> NDArray[np.float64]:
     where = f"{tables.folder / table}.json, {row['token']}"
     return pose_of(row["rotation"], row["translation"], where)
 
