@@ -23,15 +23,15 @@ class InputFiles:
     Parameters
     ----------
     run : RunFolder
-        Its inputs say whether contents are hashed (``hash_inputs``). Hashes of files whose
-        size and time have not changed are taken from an earlier command.
+        Its inputs say whether contents are hashed (``hash_inputs``). The hash of a file that nobody
+        has written since, by the time that the system notes of it, is that of an earlier command.
     """
 
     def __init__(self, run: RunFolder) -> None:
         self._run = run
         self._hashed = run.manifest.inputs is not None and run.manifest.inputs.hash_inputs
         self._path = run.state_dir / "inputs.json"
-        """By name the size, the time and perhaps the hash of each file."""
+        """By name size and time of each file, and perhaps its hash and the time of its state."""
         self._before = _read(self._path)
         self._now: dict[str, _Known] = {}
 
@@ -85,10 +85,13 @@ class InputFiles:
                 known = file.stat()
                 entry: list[int | str] = [known.st_size, known.st_mtime_ns]
                 if self._hashed:
-                    same = before.get(name, [])[:2] == entry and len(before[name]) > 2
+                    # Anybody can set the time of a change, but not that of a change of the file's
+                    # state.
+                    noted = before.get(name, [])
+                    same = len(noted) > 3 and noted[3] == known.st_ctime_ns and noted[:2] == entry
                     if not same and file not in hashes:
                         hashes[file] = _hash(file)
-                    entry.append(before[name][2] if same else hashes[file])
+                    entry += [noted[2] if same else hashes[file], known.st_ctime_ns]
             except OSError as error:
                 raise DatasetError(
                     f"{file} cannot be read: {error.strerror}; put it back"

@@ -72,7 +72,7 @@ def run_cameras(
             continue
         if entry.virtual is not None:
             times = run.trajectory().times if recording is None else recording.times
-            stream = virtual_stream(name, entry.virtual, times)
+            stream = virtual_stream(name, entry.virtual, times, run.manifest.derived.up)
         elif recording is not None:
             (stream,) = open_run_cameras(run, recording, [name])
         else:

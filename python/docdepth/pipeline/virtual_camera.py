@@ -11,6 +11,7 @@ from docdepth.datasets.base import CameraStream
 from docdepth.datasets.times import read_times
 from docdepth.errors import CalibrationError, ConfigError
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.ground_plane import level_turn
 from docdepth.geometry.se3 import inverse, poses_from, quaternion_to_matrix
 from docdepth.io.manifest import VirtualCamera
 from docdepth.io.run_folder import RunFolder
@@ -58,7 +59,10 @@ def virtual_camera(pose: str, K: str, size: str, times: Path | None = None) -> V
 
 
 def virtual_stream(
-    name: str, described: VirtualCamera, sweep_times: NDArray[np.int64]
+    name: str,
+    described: VirtualCamera,
+    sweep_times: NDArray[np.int64],
+    up: tuple[float, float, float] | None = None,
 ) -> CameraStream:
     """The virtual camera that :func:`virtual_camera` described.
 
@@ -68,9 +72,14 @@ def virtual_stream(
     described : VirtualCamera
     sweep_times : ndarray of int64, shape (n,)
         Nanoseconds.
+    up : (float, float, float), optional
+        Of the frame in which it was described, where the run's own was turned
+        (:class:`~docdepth.datasets.up_axis.LevelledRecording`).
     """
     camera = Camera(np.array(described.K), *described.size)
     T_camera_lidar = inverse(np.array(described.T_lidar_camera))
+    if up is not None:
+        T_camera_lidar[:3, :3] = T_camera_lidar[:3, :3] @ level_turn(up).T
     if described.times is None:
         names = [f"{i:06d}" for i in range(len(sweep_times))]
         return CameraStream(name, camera, T_camera_lidar, sweep_times, names)
