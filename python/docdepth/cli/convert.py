@@ -1,4 +1,4 @@
-"""The verb that writes poses, labels and depth for other tools."""
+"""The verb that writes poses, labels, depth and posed images for other tools."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import typer
 
 from docdepth.cli.options import DatasetName, one_of, option, verb
 from docdepth.cli.terminal import progress_bars, say, volume
+from docdepth.errors import ConfigError
+from docdepth.export import EXPORTS, export
 from docdepth.io.labels import LABEL_FORMATS
 from docdepth.io.poses import POSE_FORMATS
 from docdepth.pipeline import convert as converting
@@ -26,7 +28,8 @@ def convert(
     output: Annotated[
         Path,
         typer.Argument(
-            metavar="OUT", help="New file of poses, new folder of labels, or folder of depth."
+            metavar="OUT",
+            help="New file of poses, new folder of labels or photos, or folder of depth.",
         ),
     ],
     to: Annotated[
@@ -34,8 +37,9 @@ def convert(
         option(
             f"Poses: {', '.join(POSE_FORMATS)}. Labels: label (SemanticKITTI), classid (NPY), "
             "pcd (as DynamicMap_Benchmark, the class as intensity). Depth: proj_depth (as KITTI "
-            "releases it, OUT/DRIVE/proj_depth/groundtruth/CAMERA).",
-            **one_of((*POSE_FORMATS, *LABEL_FORMATS, *DEPTH_FORMATS)),
+            "releases it, OUT/DRIVE/proj_depth/groundtruth/CAMERA). Photos, poses, depth, masks of "
+            "what moves and the static map: nerfstudio, colmap.",
+            **one_of((*POSE_FORMATS, *LABEL_FORMATS, *DEPTH_FORMATS, *EXPORTS)),
         ),
     ],
     dataset: DatasetName = None,
@@ -46,14 +50,21 @@ def convert(
         ),
     ] = None,
 ) -> None:
-    """Write poses, labels or depth of a run or a recording in the format of other tools.
+    """Write poses, labels, depth or images of a run or a recording in the format of other tools.
 
     docdepth convert RUN poses.txt --to tum
     docdepth convert RUN labels --to classid
     docdepth convert RUN release --to proj_depth
+    docdepth convert RUN scene --to nerfstudio
     """
+    if to in EXPORTS and (camera or dataset):
+        raise ConfigError(f"{to} is written of a run and all its cameras: leave the option out")
     with progress_bars() as progress:
-        count = converting.convert(source, output, to, dataset, camera, progress)
+        if to in EXPORTS:
+            count = export(source, output, to, progress)
+        else:
+            count = converting.convert(source, output, to, dataset, camera, progress)
     if not volume.quiet:
-        what = "poses" if to in POSE_FORMATS else "depth maps" if to in DEPTH_FORMATS else "sweeps"
+        named = {"poses": POSE_FORMATS, "depth maps": DEPTH_FORMATS, "images": EXPORTS}
+        what = next((what for what, formats in named.items() if to in formats), "sweeps")
         say(f"{count} {what} in {output}")

@@ -149,6 +149,7 @@ def write_map(run: RunFolder, voxel: float = VOXEL, progress: Progress | None = 
     RunError
         A frame is missing, damaged or not classified.
     """
+    require(run, "classify")
     world, objects = gather_map(run, voxel, progress)
     return _write(run, world, objects)
 
@@ -158,9 +159,8 @@ def gather_map(
 ) -> tuple[CloudMap, dict[int, VoxelCloud]]:
     """The map and the clouds of objects that :func:`write_map` writes, these by track.
 
-    The arguments and errors are those of :func:`write_map`.
+    The arguments and errors are those of :func:`write_map`; classes may be out of date.
     """
-    require(run, "classify")
     report = progress or null_progress
     trajectory, tracks = run.trajectory(), tracks_in(run.path)
     world = VoxelCloud(voxel, trajectory.poses[0, :3, 3])

@@ -1,0 +1,53 @@
+"""A run in the layouts of programs that train on posed images: one module a layout."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from docdepth.concurrency import Progress
+from docdepth.errors import ConfigError
+from docdepth.export.colmap import write_colmap
+from docdepth.export.nerfstudio import write_nerfstudio
+from docdepth.pipeline.run_reader import Run, open_run
+
+EXPORTS: dict[str, Callable[[Run, Path, Progress | None], int]] = {
+    "nerfstudio": write_nerfstudio,
+    "colmap": write_colmap,
+}
+"""What writes each layout; it returns how many images it has written."""
+
+
+def export(
+    run: Run | Path | str, output: Path | str, to: str, progress: Progress | None = None
+) -> int:
+    """Write the photos, poses, depth, masks and points of a run for another program.
+
+    Parameters
+    ----------
+    run : Run or Path
+    output : Path
+        A new folder.
+    to : str
+        One of :data:`EXPORTS`.
+    progress : callable, optional
+        Called with the step, the images done and their number.
+
+    Returns
+    -------
+    int
+        Images.
+
+    Raises
+    ------
+    ConfigError
+        ``output`` is there, or there is no such layout.
+    RunError
+        The run has no depth maps, no photos or no frames, or is damaged.
+    """
+    output = Path(output)
+    if to not in EXPORTS:
+        raise ConfigError(f"unknown layout {to!r}; there are {', '.join(EXPORTS)}")
+    if output.exists() and not (output.is_dir() and not any(output.iterdir())):
+        raise ConfigError(f"{output} is there; name another, or remove it")
+    return EXPORTS[to](run if isinstance(run, Run) else open_run(run), output, progress)
