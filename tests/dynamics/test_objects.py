@@ -133,7 +133,7 @@ def test_an_interrupted_run_continues_and_ends_the_same(street, few_votes, tmp_p
     assert not (run.state_dir / "evidence").exists()
 
     again = folder_of(tmp_path / "again", trajectory, sweeps, p)
-    # One file of ground comes first; then while it votes, and while it adds tracks.
+    # While it writes ground; then while it votes, and while it adds tracks.
     for module, name, times in (
         (classify_stage, "write_arrays", 0),
         (sweep_store, "write_arrays", 7),
@@ -151,7 +151,7 @@ def test_an_interrupted_run_continues_and_ends_the_same(street, few_votes, tmp_p
             patch.setattr(module, name, interrupted)
             with pytest.raises(KeyboardInterrupt):
                 run_classify(again)
-    seen = sorted((again.state_dir / "evidence").glob("*/*.npy"))
+    seen = sorted((again.state_dir / "evidence").glob("*/*.npz"))
     assert len(seen) == len(sweeps)
     size = seen[4].stat().st_size
     with seen[4].open("r+b") as stream:  # as a disk may leave it when the power goes

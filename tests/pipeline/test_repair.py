@@ -28,7 +28,7 @@ from walled_yard import scan, straight
 
 POSES = straight(SWEEPS, 0.5).poses
 
-KEPT_TRACKS = [".docdepth/tracks/sweeps.npy", ".docdepth/tracks/paths.npy"]
+KEPT_TRACKS = [".docdepth/tracks/000002.npz", ".docdepth/tracks/paths.npz"]
 
 
 @pytest.fixture

@@ -1,5 +1,8 @@
 """Arrays in the notes of a run, and tracks that are read sweep by sweep."""
 
+import io
+import zipfile
+
 import numpy as np
 import pytest
 
@@ -7,16 +10,9 @@ from docdepth.config import Parameters
 from docdepth.dynamics.tracking import TrackedSweep
 from docdepth.errors import DamagedFileError
 from docdepth.geometry.track import Track
+from docdepth.io.npy import read_kept_arrays
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.stored_arrays import (
-    are_stored,
-    array_offsets,
-    read_arrays,
-    store_tracks,
-    stored_sweeps,
-    stored_tracks,
-    write_arrays,
-)
+from docdepth.pipeline.sweep_store import TRACKING, TrackStore, sweep_file, write_arrays
 
 KEY = {"classify": "1"}
 
@@ -42,26 +38,37 @@ def track_of(number, length):
 
 
 def test_any_array_of_a_file_is_read_alone(run):
-    arrays = arrays_of(np.random.default_rng(0))
-    path = run.state_dir / "some.npy"
-    write_arrays(run, path, KEY, iter(arrays))
-    offsets = array_offsets(path)
-    for k, array in enumerate(arrays):
-        for read in (read_arrays(path, 1, skipped=k), read_arrays(path, 1, offset=offsets[k])):
-            np.testing.assert_array_equal(read[0], array)
-            assert read[0].dtype == array.dtype
-    with path.open("rb") as stream:  # as np.save writes them
-        for array in arrays:
-            np.testing.assert_array_equal(np.load(stream), array)
-    path.write_bytes(path.read_bytes()[:-3])
-    with pytest.raises(DamagedFileError, match="cut off"):
-        array_offsets(path)
-    with pytest.raises(DamagedFileError):
-        read_arrays(path, len(arrays))
-    np.save(path, np.zeros((2, 70)))
-    path.write_bytes(path.read_bytes().replace(b"(2, 70)", b"(-1,70)"))
+    arrays = {f"a{k}": array for k, array in enumerate(arrays_of(np.random.default_rng(0)))}
+    path = sweep_file(run, "some", 12)
+    write_arrays(run, path, KEY, arrays)
+    for name, array in arrays.items():
+        (read,) = read_kept_arrays(path, name)
+        np.testing.assert_array_equal(read, array)
+        assert read.dtype == array.dtype
+    with np.load(path) as found:  # as np.savez writes them
+        assert list(found) == list(arrays)
+        for name, array in arrays.items():
+            np.testing.assert_array_equal(found[name], array)
+    first, _, last = (a.tobytes() for a in read_kept_arrays(path, "a1", "a0", "a2"))
+    assert (first, last) == (arrays["a1"].tobytes(), arrays["a2"].tobytes())
+    with pytest.raises(DamagedFileError, match="no_such"):
+        read_kept_arrays(path, "a0", "no_such")
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-3])
+    with pytest.raises(DamagedFileError, match="zip"):
+        read_kept_arrays(path, "a0")
+    path.write_bytes(whole.replace(arrays["a2"].tobytes(), bytes(arrays["a2"].nbytes)))
+    with pytest.raises(DamagedFileError, match="CRC"):
+        read_kept_arrays(path, "a2")
+    content = io.BytesIO()
+    np.save(content, np.zeros((2, 70)))
+    with zipfile.ZipFile(path, "w") as made:
+        made.writestr("a.npy", content.getvalue().replace(b"(2, 70)", b"(-1,70)"))
     with pytest.raises(DamagedFileError, match=r"its shape is \(-1, 70\)"):
-        array_offsets(path)
+        read_kept_arrays(path, "a")
+    path.unlink()
+    with pytest.raises(DamagedFileError, match="is missing"):
+        read_kept_arrays(path, "a")
 
 
 def test_tracks_are_read_as_they_were_kept(run):
@@ -81,22 +88,26 @@ def test_tracks_are_read_as_they_were_kept(run):
             take(sweep)
         return tracks
 
-    folder = run.state_dir / "tracks"
-    assert not are_stored(run, folder, KEY)
-    store_tracks(run, folder, KEY, find)
-    assert are_stored(run, folder, KEY)
-    assert not are_stored(run, folder, {"classify": "2"})
-    read = stored_sweeps(folder, 6)
+    store = TrackStore(run, KEY, 6)
+    assert not store.is_whole()
+    store.write(find)
+    assert store.is_whole()
+    assert not TrackStore(run, {"classify": "2"}, 6).is_whole()
+    assert not TrackStore(run, KEY, 7).is_whole()
+    read = TrackStore(run, KEY, 6)
     assert len(read) == 6
     for sweep, right in zip(read, sweeps, strict=True):
         for left, array in zip(sweep, right, strict=True):
             np.testing.assert_array_equal(left, array)
+            assert left.dtype == array.dtype
     np.testing.assert_array_equal(read[3:5][1].voxels, np.arange(4))
-    for found, right in zip(stored_tracks(folder), tracks, strict=True):
+    for found, right in zip(read.tracks(), tracks, strict=True):
         for name in Track.__dataclass_fields__:
             np.testing.assert_array_equal(getattr(found, name), getattr(right, name))
-    with pytest.raises(DamagedFileError, match="it tells of 6 sweeps, the drive has 5"):
-        stored_sweeps(folder, 5)
+    sweep_file(run, TRACKING, 4).unlink()
+    assert not TrackStore(RunFolder(run.path), KEY, 6).is_whole()
+    with pytest.raises(DamagedFileError, match=r"000004.npz is missing"):
+        read[4]
 
 
 def test_a_drive_without_moving_things_keeps_no_tracks(run):
@@ -104,19 +115,27 @@ def test_a_drive_without_moving_things_keeps_no_tracks(run):
         take(TrackedSweep())
         return []
 
-    store_tracks(run, run.state_dir / "tracks", KEY, find)
-    assert stored_tracks(run.state_dir / "tracks") == []
-    assert not stored_sweeps(run.state_dir / "tracks", 1)[0]
+    store = TrackStore(run, KEY, 1)
+    store.write(find)
+    assert store.is_whole()
+    assert store.tracks() == []
+    assert not store[0]
 
 
 def test_damaged_tracks_are_refused(run):
-    folder = run.state_dir / "tracks"
-    store_tracks(run, folder, KEY, lambda take: [track_of(7, 3)])
-    (paths,) = (file for file in folder.iterdir() if file.name.startswith("paths"))
+    store = TrackStore(run, KEY, 0)
+    store.write(lambda take: [track_of(7, 3)])
+    (paths,) = (run.state_dir / TRACKING).iterdir()
     whole = paths.read_bytes()
     paths.write_bytes(whole[:-3])
-    with pytest.raises(DamagedFileError, match="bytes are there"):
-        stored_tracks(folder)
-    paths.write_bytes(whole.replace(np.int64(7).tobytes(), np.int64(0).tobytes(), 1))
+    with pytest.raises(DamagedFileError, match="zip"):
+        store.tracks()
+    paths.write_bytes(whole)
+    with np.load(paths) as loaded:
+        arrays = dict(loaded)
+    np.savez(paths, **arrays | {"id": np.zeros(1, np.int64)})
     with pytest.raises(DamagedFileError, match="track 0"):
-        stored_tracks(folder)
+        store.tracks()
+    np.savez(paths, **arrays | {"length": np.array([2, 1])})
+    with pytest.raises(DamagedFileError):
+        store.tracks()

@@ -11,7 +11,7 @@ from docdepth.cli.options import Json, RunPath, option, verb
 from docdepth.cli.remedies import as_commands
 from docdepth.cli.terminal import err, out, say, show_json, volume
 from docdepth.errors import Finding
-from docdepth.io.lock import holder
+from docdepth.io.recorded_folder import holder
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.plan import states
 

@@ -20,6 +20,7 @@ WriteFile = Callable[[Path, Callable[[BinaryIO], object]], None]
 """A function like :func:`write_atomically`."""
 
 
+_CHUNK = 1 << 22  # bytes that are read at once for a checksum
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -58,7 +59,7 @@ def write_atomically(
     ----------
     path : Path
     write : callable
-        Called with an object that has the method ``write`` of a binary file.
+        Called with the file.
     sync : bool
         False for intermediate files that the same stage reads again and deletes. They are whole
         after a killed run, but perhaps not after a power failure.
@@ -72,15 +73,16 @@ def write_atomically(
     """
     part = path.with_name(f".{path.name}.part")
     try:
-        with _opened(part) as stream:
-            summed = _Summed(stream)
-            write(summed)  # type: ignore[arg-type]
+        with contextlib.suppress(FileExistsError):  # opening the file says that it is no folder
+            path.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("wb") as stream:
+            write(stream)
             stream.flush()
             if sync:
                 os.fsync(stream.fileno())
-            if before_rename:
-                known = os.fstat(stream.fileno())
-                before_rename(Written(known.st_size, known.st_mtime_ns, summed.checksum))
+            known = os.fstat(stream.fileno())
+        if before_rename:
+            before_rename(Written(known.st_size, known.st_mtime_ns, checksum(part)))
         os.replace(part, path)
     except OSError as error:
         with contextlib.suppress(OSError):
@@ -102,20 +104,10 @@ def npz_bytes(*, compressed: bool = False, **arrays: Any) -> bytes:
     return stream.getvalue()
 
 
-class _Summed:
-    """A file that sums up what is written."""
-
-    def __init__(self, stream: BinaryIO) -> None:
-        self._stream, self.checksum = stream, 0
-
-    def write(self, data: Any) -> int:
-        self.checksum = zlib.crc32(data, self.checksum)
-        return self._stream.write(data)
-
-
-def _opened(path: Path) -> BinaryIO:
-    try:
-        return path.open("wb")
-    except FileNotFoundError:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return path.open("wb")
+def checksum(path: Path) -> int:
+    """CRC-32 of the content of a file."""
+    found = 0
+    with path.open("rb") as stream:
+        while data := stream.read(_CHUNK):
+            found = zlib.crc32(data, found)
+    return found

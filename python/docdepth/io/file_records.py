@@ -5,20 +5,17 @@ from __future__ import annotations
 import json
 import os
 import sys
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
 from typing import Any, Literal
 
 from docdepth.errors import RunError
-from docdepth.io.atomic import Written
+from docdepth.io.atomic import Written, checksum
 from docdepth.io.yaml_json import parse_json
 
 FileState = Literal["whole", "damaged", "missing", "unknown"]
 """``unknown``: docdepth did not write the file, or its record is lost."""
-
-_CHUNK = 1 << 22  # bytes that are read at once for a checksum
 
 
 @dataclass(slots=True)  # a long drive has many
@@ -26,24 +23,19 @@ class _Record:
     size: int
     time: int
     checksum: int
-    key: tuple[str, ...]
-    """Names and values in turn: half the size of a dict."""
+    key: str
+    """As JSON: half the size of a dict."""
     state: FileState | None = None
     """What was found, so that nothing is read twice."""
 
 
-def _flat(key: dict[str, str]) -> tuple[str, ...]:
-    return tuple(sys.intern(str(part)) for item in key.items() for part in item)
-
-
-def _entry(record: _Record) -> dict[str, object]:
-    """A record as its line tells it."""
-    known = {"size": record.size, "time": record.time, "checksum": record.checksum}
-    return {**known, "key": _dict(record.key)}
-
-
-def _dict(flat: tuple[str, ...]) -> dict[str, str]:
-    return dict(zip(flat[::2], flat[1::2], strict=True))
+def _line(name: str, record: _Record | None) -> str:
+    """The line that tells of a file; None if it was deleted."""
+    entry: dict[str, object] = {"name": name}
+    if record is not None:
+        known = {"size": record.size, "time": record.time, "checksum": record.checksum}
+        entry |= {**known, "key": json.loads(record.key)}
+    return json.dumps(entry) + "\n"
 
 
 class FileRecords:
@@ -102,7 +94,7 @@ class FileRecords:
 
     def create(self) -> None:
         """Make an empty file of records if there is none."""
-        self._append_text("")
+        self._append("")
 
     def __contains__(self, name: str) -> bool:
         return name in self._records
@@ -113,9 +105,10 @@ class FileRecords:
 
     def add(self, name: str, written: Written, key: dict[str, str]) -> None:
         """Note a file; called before it gets its name."""
-        record = _Record(written.size, written.time, written.checksum, _flat(key))
+        text = sys.intern(json.dumps(key))
+        record = _Record(written.size, written.time, written.checksum, text)
         with self._lock:
-            self._append(name, _entry(record))
+            self._append(_line(name, record))
             self._records[name] = record
 
     def invalidate(self, name: str) -> None:
@@ -126,43 +119,36 @@ class FileRecords:
         """Note that a file has been deleted."""
         with self._lock:
             if self._records.pop(name, None) is not None:
-                self._append(name, {})
+                self._append(_line(name, None))
 
-    def _append(self, name: str, entry: dict[str, object]) -> None:
-        self._append_text("\n" * self._torn + json.dumps({"name": name, **entry}) + "\n")
-        self._torn = False
-        self._lines += 1
-
-    def _append_text(self, text: str) -> None:
+    def _append(self, line: str) -> None:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with self.path.open("ab") as stream:
-                stream.write(text.encode())
+                stream.write(("\n" * (self._torn and bool(line)) + line).encode())
         except OSError as error:
             raise RunError(
                 f"cannot write {self.path}: {error.strerror}; make room or choose another folder "
                 "and run the same command again; it continues where it stopped"
             ) from error
+        self._torn &= not line
+        self._lines += bool(line)
 
     def compact(self) -> None:
         """Write the records anew if most lines are outdated."""
         with self._lock:
             if self._lines <= 2 * len(self._records) + 100:
                 return
-            records = self._records.items()
-            lines = [json.dumps({"name": name, **_entry(r)}) + "\n" for name, r in records]
+            lines = [_line(name, record) for name, record in self._records.items()]
             part = self.path.with_name(self.path.name + ".part")
             part.write_text("".join(lines))
             os.replace(part, self.path)
             self._lines = len(lines)
 
-    def key(self, name: str) -> dict[str, str]:
-        """What a file was made of: a hash for each stage; empty if the file is not whole."""
-        return _dict(self._records[name].key) if self.state(name) == "whole" else {}
-
     def recorded_key(self, name: str) -> dict[str, str]:
-        """What the record of a file says, whatever has become of the file."""
-        return _dict(self._records[name].key) if name in self._records else {}
+        """What a file was made of, a hash for each stage, whatever has become of the file."""
+        found: dict[str, str] = json.loads(self._records[name].key) if name in self._records else {}
+        return found
 
     def size(self, name: str) -> int:
         """Bytes of a file; 0 without a record."""
@@ -181,22 +167,18 @@ class FileRecords:
         if record is None:
             return "unknown"
         if verify or record.state is None:
-            record.state = self._compare(name, record, verify)
+            path = self._folder / name
+            try:
+                known = os.stat(path)
+                same = known.st_size == record.size
+                if same and (verify or known.st_mtime_ns != record.time):
+                    same = checksum(path) == record.checksum
+                record.state = "whole" if same else "damaged"
+            except FileNotFoundError:
+                record.state = "missing"
+            except OSError:
+                record.state = "damaged"
         return record.state
-
-    def _compare(self, name: str, record: _Record, verify: bool) -> FileState:
-        path = self._folder / name
-        try:
-            known = os.stat(path)
-            if known.st_size != record.size:
-                return "damaged"
-            if known.st_mtime_ns == record.time and not verify:
-                return "whole"
-            return "whole" if _checksum(path) == record.checksum else "damaged"
-        except FileNotFoundError:
-            return "missing"
-        except OSError:
-            return "damaged"
 
 
 _shared: dict[tuple[str, Path], FileRecords] = {}
@@ -231,23 +213,4 @@ def _checked(entry: dict[str, Any]) -> _Record:
         raise TypeError
     if not all(isinstance(text, str) for text in key.values()):
         raise TypeError
-    return _Record(**entry, key=_flat(key))
-
-
-def same_content(path: Path, written: Written) -> bool:
-    """Whether a file is not there, or has the content of one that was written."""
-    try:
-        same_size = path.stat().st_size == written.size
-        return same_size and _checksum(path) == written.checksum
-    except FileNotFoundError:
-        return True
-    except OSError:
-        return False
-
-
-def _checksum(path: Path) -> int:
-    checksum = 0
-    with path.open("rb") as stream:
-        while data := stream.read(_CHUNK):
-            checksum = zlib.crc32(data, checksum)
-    return checksum
+    return _Record(**entry, key=sys.intern(json.dumps(key)))

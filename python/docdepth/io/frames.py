@@ -15,9 +15,9 @@ from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.se3 import matrix_to_quaternion, poses_from, quaternion_to_matrix
 from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.atomic import WriteFile, npz_bytes, write_atomically
+from docdepth.io.atomic import WriteFile, write_atomically
 from docdepth.io.file_records import is_file_name
-from docdepth.io.npy import ArrayError, read_array, read_arrays
+from docdepth.io.npy import ArrayError, read_array
 from docdepth.io.ply import read_comments, read_vertices, write_vertices
 
 _SECOND = 1_000_000_000  # nanoseconds
@@ -244,28 +244,3 @@ def read_input_points(path: Path) -> int | None:
 
 def _notes(comments: list[str]) -> dict[str, str]:
     return {name: value for name, _, value in (comment.partition(" ") for comment in comments)}
-
-
-_NAMES = ("T_lidar_sensor", "lateral_offset", "lidar_id")
-
-
-def sensors_bytes(sensor_rig: SensorRig) -> bytes:
-    """The content of the file."""
-    return npz_bytes(**{name: getattr(sensor_rig, name) for name in _NAMES})
-
-
-def read_sensors(path: Path) -> dict[str, NDArray[Any]]:
-    """Arguments of :class:`SensorRig` that all frames share.
-
-    Raises
-    ------
-    DamagedFileError
-        The file is missing or damaged.
-    """
-    try:
-        arrays = read_arrays(path)
-        return {name: arrays[name] for name in _NAMES}
-    except FileNotFoundError:
-        raise DamagedFileError(path, "") from None
-    except (OSError, ArrayError, KeyError) as error:
-        raise DamagedFileError(path, str(error)) from None

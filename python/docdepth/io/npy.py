@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import io
 import zipfile
 from collections.abc import Collection
 from math import prod
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import IO, Any
 
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
+
+from docdepth.errors import DamagedFileError
 
 _LONGEST_HEADER = 10_000  # bytes
 _MOST_PACKED = 1100  # times as large as its compressed bytes; deflate packs 1032 into one
@@ -32,7 +33,7 @@ def read_array(file: Path) -> NDArray[Any]:
         It cannot be opened.
     """
     with file.open("rb") as stream:
-        return read_next_array(stream, file.stat().st_size)
+        return _read(stream, file.stat().st_size)
 
 
 def read_arrays(file: Path, names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
@@ -43,77 +44,48 @@ def read_arrays(file: Path, names: Collection[str] | None = None) -> dict[str, N
     ArrayError, OSError
         As for :func:`read_array`.
     """
+    found = {}
     with file.open("rb") as stream:
         try:
             with zipfile.ZipFile(stream) as archive:
                 entries = {e.filename.removesuffix(".npy"): e for e in archive.infolist()}
-                wanted = entries if names is None else [name for name in names if name in entries]
-                return {name: _of_archive(archive, entries[name]) for name in wanted}
+                for name in entries if names is None else [n for n in names if n in entries]:
+                    entry = entries[name]
+                    if entry.file_size > _MOST_PACKED * entry.compress_size:
+                        raise ArrayError(
+                            f"{entry.compress_size} bytes cannot hold {entry.file_size}"
+                        )
+                    with archive.open(entry) as part:
+                        found[name] = _read(part, entry.file_size)
+                        if part.read(1):  # to its end, where the checksum is compared
+                            raise ArrayError(f"{entry.filename} is longer than its array")
         except ArrayError:
             raise
         # A damaged archive fails in many ways: of structures, of compression, of passwords.
         except Exception as error:
             raise ArrayError(f"{error}" or type(error).__name__) from None
+    return found
 
 
-def _of_archive(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
-    if entry.file_size > _MOST_PACKED * entry.compress_size:
-        raise ArrayError(f"{entry.compress_size} bytes cannot hold {entry.file_size}")
-    with archive.open(entry) as stream:
-        array = read_next_array(stream, entry.file_size)  # type: ignore[arg-type]
-        if stream.read(1):  # to its end, where the checksum is compared
-            raise ArrayError(f"{entry.filename} is longer than its array")
-        return array
-
-
-class _Header(NamedTuple):
-    shape: tuple[int, ...]
-    fortran: bool
-    dtype: np.dtype[Any]
-    entries: int
-
-    @property
-    def size(self) -> int:
-        """Bytes of the data behind the header."""
-        return self.entries * self.dtype.itemsize
-
-
-def read_next_array(stream: BinaryIO, size: int) -> NDArray[Any]:
-    """The next array of a stream of which ``size`` bytes are left.
-
-    Memory is taken only for bytes that are there.
+def read_kept_arrays(file: Path, *names: str) -> list[NDArray[Any]]:
+    """The named arrays of an NPZ file of a run.
 
     Raises
     ------
-    ArrayError
-        As for :func:`read_array`.
+    DamagedFileError
+        The file is missing or damaged.
     """
-    header = _read_header(stream, size)
-    data = stream.read(header.size)
-    if len(data) < header.size:
-        raise ArrayError(f"{len(data)} of {header.size} bytes are there")
     try:
-        if header.size:
-            array = np.frombuffer(bytearray(data), header.dtype, header.entries)
-        else:
-            array = np.empty(header.entries, header.dtype)
-        return array.reshape(header.shape, order="F" if header.fortran else "C")
-    except (ValueError, OverflowError) as error:
-        raise ArrayError(str(error)) from None
+        found = read_arrays(file, names)
+        return [found[name] for name in names]
+    except FileNotFoundError:
+        raise DamagedFileError(file, "") from None
+    except (OSError, ArrayError, KeyError) as error:
+        raise DamagedFileError(file, str(error)) from None
 
 
-def skip_next_array(stream: BinaryIO, size: int) -> None:
-    """Go behind the next array of a stream of which ``size`` bytes are left.
-
-    Raises
-    ------
-    ArrayError
-        As for :func:`read_array`.
-    """
-    stream.seek(_read_header(stream, size).size, io.SEEK_CUR)
-
-
-def _read_header(stream: BinaryIO, size: int) -> _Header:
+def _read(stream: IO[bytes], size: int) -> NDArray[Any]:
+    """The array of a stream of ``size`` bytes; memory is taken only for bytes that are there."""
     try:
         version = npy.read_magic(stream)
         read_header = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
@@ -126,10 +98,21 @@ def _read_header(stream: BinaryIO, size: int) -> _Header:
         raise ArrayError("it holds objects of Python, which docdepth does not load")
     if any(n < 0 for n in shape) or not _is_sound(dtype):
         raise ArrayError(f"its shape is {shape} of {dtype}")
-    header = _Header(shape, fortran, dtype, prod(shape))
-    if header.size > size:
-        raise ArrayError(f"its header tells of {header.size} bytes, the file has {size}")
-    return header
+    entries = prod(shape)
+    wanted = entries * dtype.itemsize
+    if wanted > size:
+        raise ArrayError(f"its header tells of {wanted} bytes, the file has {size}")
+    data = stream.read(wanted)
+    if len(data) < wanted:
+        raise ArrayError(f"{len(data)} of {wanted} bytes are there")
+    try:
+        if wanted:
+            array = np.frombuffer(bytearray(data), dtype, entries)
+        else:
+            array = np.empty(entries, dtype)
+        return array.reshape(shape, order="F" if fortran else "C")
+    except (ValueError, OverflowError) as error:
+        raise ArrayError(str(error)) from None
 
 
 def _is_sound(dtype: np.dtype[Any]) -> bool:

@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import logging
 import os
 import shutil
+import socket
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from datetime import datetime
 from pathlib import Path
 from threading import RLock
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 from uuid import uuid4
 
 from docdepth.errors import RunError
-from docdepth.io.atomic import WriteFile, Written, write_atomically
-from docdepth.io.file_records import FileRecords, same_content, shared_records
-from docdepth.io.lock import locked
+from docdepth.io.atomic import WriteFile, Written, checksum, write_atomically
+from docdepth.io.file_records import FileRecords, shared_records
 
 log = logging.getLogger(__name__)
 
 STATE_DIR = ".docdepth"
 """Folder of a run with what docdepth needs to continue it; nothing in it is a result."""
+
+_TRIES, _PAUSE = 4, 0.05  # seconds
 
 
 class StagedFile(NamedTuple):
@@ -57,12 +62,14 @@ class RecordedFolder:
 
     Attributes
     ----------
+    state_dir : Path
+        Folder with what docdepth needs to continue the run.
     staged : list of StagedFile, or None
         What the copy of a worker has written; None for the folder itself.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = Path(path)
+        self._set_paths(Path(path))
         self.staged: list[StagedFile] | None = None
         self._records: dict[Path, FileRecords] = {}
         self._writer = uuid4().hex
@@ -74,8 +81,12 @@ class RecordedFolder:
     def __getstate__(self) -> dict[str, object]:
         return {**vars(self), "path": self.path.absolute(), "_records": {}, "_writing": None}
 
-    def __setstate__(self, state: dict[str, object]) -> None:
+    def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state, staged=[], _writing=RLock())
+        self._set_paths(state["path"])
+
+    def _set_paths(self, path: Path) -> None:
+        self.path, self.state_dir = path, path / STATE_DIR
 
     @property
     def staging(self) -> Path:
@@ -139,32 +150,26 @@ class RecordedFolder:
         """
         with self._writing:
             if folder not in self._records:
-                self._refuse_outside(folder)
-                file = self._records_file(folder)
+                inside = self.path in (folder, *folder.parents)
+                if not inside or ".." in folder.parts[len(self.path.parts) :]:
+                    raise RunError(
+                        f"{folder} lies outside of {self.path}; nothing is written there"
+                    )
+                name = folder.relative_to(self.path).as_posix()
+                file = f"{'run' if name == '.' else name}.jsonl"
+                path = self.state_dir / "records" / file
                 self._records[folder] = (
-                    FileRecords(folder, file)
+                    FileRecords(folder, path)
                     if self.staged is None
-                    else shared_records(folder, file, self._writer)
+                    else shared_records(folder, path, self._writer)
                 )
             return self._records[folder]
 
-    def _refuse_outside(self, folder: Path) -> None:
-        inside = self.path in (folder, *folder.parents)
-        if not inside or ".." in folder.parts[len(self.path.parts) :]:
-            raise RunError(f"{folder} lies outside of {self.path}; nothing is written there")
-
-    def _records_file(self, folder: Path) -> Path:
-        name = folder.relative_to(self.path).as_posix()
-        return self.state_dir / "records" / f"{'run' if name == '.' else name}.jsonl"
-
-    @property
-    def state_dir(self) -> Path:
-        """Folder with what docdepth needs to continue the run."""
-        return self.path / STATE_DIR
-
     def key(self, path: Path) -> dict[str, str]:
         """What a file was made of, a hash for each stage; empty if the file is not whole."""
-        return self.records(path.parent).key(path.name)
+        records = self.records(path.parent)
+        is_whole = records.state(path.name) == "whole"
+        return records.recorded_key(path.name) if is_whole else {}
 
     def recorded_key(self, path: Path) -> dict[str, str]:
         """What the record of a file says, whatever has become of the file."""
@@ -197,7 +202,7 @@ class RecordedFolder:
         RunError
             The file cannot be written.
         """
-        self._refuse_outside(path.parent)
+        self.records(path.parent)  # refuses what lies outside
         if self.staged is None:
             write_atomically(
                 path, write, sync=sync, before_rename=lambda one: self._record(path, one, key)
@@ -215,7 +220,7 @@ class RecordedFolder:
         records = self.records(path.parent)
         if not records.path.is_file():
             self._adopt(path.parent)
-        if path.name not in records and not same_content(path, written):
+        if path.name not in records and not _has_content(path, written):
             move_aside(path)
         records.add(path.name, written, key)
 
@@ -226,22 +231,25 @@ class RecordedFolder:
         """
         name = folder.relative_to(self.path).as_posix()
         with self._writing:
-            records = self.records(folder)
+            records, before = self.records(folder), self.folders_written
             if records.path.is_file():
                 return  # another thread was here before
-            if self._has_written_into(name) and folder.is_dir():
+            if (before is None or name in before) and folder.is_dir():
                 for file in folder.iterdir():
                     if file.is_file() and not file.name.startswith("."):
                         records.invalidate(file.name)
             records.create()
-            self._note_written_into(name)
+            if before is not None and name not in before:
+                before.append(name)
+                self.save()
 
-    def _has_written_into(self, name: str) -> bool:
-        """Whether docdepth has written into a folder, as far as is known without records."""
+    @property
+    def folders_written(self) -> list[str] | None:
+        """Folders that docdepth has written into; None if it did not make this folder."""
         raise NotImplementedError
 
-    def _note_written_into(self, name: str) -> None:
-        """Remember that docdepth writes into a folder."""
+    def save(self) -> None:
+        """Keep what has changed in the list of these folders."""
         raise NotImplementedError
 
     def writer(self, key: dict[str, str]) -> WriteFile:
@@ -273,6 +281,16 @@ class RecordedFolder:
         self.records(path.parent).invalidate(path.name)
 
 
+def _has_content(path: Path, written: Written) -> bool:
+    """Whether a file is not there, or has the content of one that was written."""
+    try:
+        return path.stat().st_size == written.size and checksum(path) == written.checksum
+    except FileNotFoundError:
+        return True
+    except OSError:
+        return False
+
+
 def move_aside(path: Path) -> None:
     """Give a file that docdepth did not write another name."""
     aside, number = path.with_name(f"{path.name}.old"), 1
@@ -282,3 +300,73 @@ def move_aside(path: Path) -> None:
     with contextlib.suppress(FileNotFoundError):
         path.rename(aside)
         log.warning("%s was not written by docdepth and is %s now", path, aside.name)
+
+
+@contextmanager
+def locked(file: Path, folder: Path, what: str) -> Iterator[None]:
+    """Keep other processes from working in a folder.
+
+    The system lets go of the lock when the process ends, however it ends.
+
+    Parameters
+    ----------
+    file : Path
+        The lock; it names who works there. Created if it is not there.
+    folder : Path
+        For messages.
+    what : str
+        What the process does, for the others' message.
+
+    Raises
+    ------
+    RunError
+        Another process works in the folder, or the folder cannot be written.
+    """
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        stream = file.open("a+", encoding="utf-8")
+    except OSError as error:
+        raise RunError(
+            f"cannot write into {folder}: {error.strerror}; choose another folder"
+        ) from None
+    with stream:
+        if not _taken(stream.fileno()):
+            raise RunError(
+                f"{folder} is in use by {holder(file) or 'another process'}; wait until it ends, "
+                "or stop it"
+            )
+        now = datetime.now().isoformat(sep=" ", timespec="seconds")
+        _write(stream.fileno(), f"process {os.getpid()} on {socket.gethostname()} ({what}, {now})")
+        try:
+            yield
+        finally:
+            _write(stream.fileno(), "")
+
+
+def holder(file: Path) -> str | None:
+    """Who has a lock; None if nobody does."""
+    try:
+        with file.open(encoding="utf-8") as stream:
+            try:
+                fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except OSError:
+                return stream.read() or "another process"
+    except (OSError, UnicodeDecodeError):
+        pass
+    return None
+
+
+def _taken(descriptor: int) -> bool:
+    for _ in range(_TRIES):  # who asks for the holder has the lock for an instant
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+        except OSError:
+            time.sleep(_PAUSE)
+    return False
+
+
+def _write(descriptor: int, text: str) -> None:
+    with contextlib.suppress(OSError):  # a full disk: the lock holds, without a name
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, text.encode(), 0)

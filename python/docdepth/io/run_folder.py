@@ -6,7 +6,7 @@ import hashlib
 import json
 import logging
 from collections.abc import Mapping
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +24,8 @@ from docdepth.io.calibration import read_calibration
 from docdepth.io.frames import (
     read_frame,
     read_points,
-    read_sensors,
     read_trajectory,
-    sensors_bytes,
     with_classes,
-    write_classes,
     write_frame,
 )
 from docdepth.io.inputs import DerivedInputs, RunInputs
@@ -39,10 +36,14 @@ from docdepth.io.manifest import (
     first_difference,
     read_manifest,
 )
+from docdepth.io.npy import read_kept_arrays
 from docdepth.io.recorded_folder import STATE_DIR, RecordedFolder, move_aside
 from docdepth.io.yaml_json import parse_json
 
 log = logging.getLogger(__name__)
+
+_STAGE_INPUTS = "stage_inputs.json"
+_OF_SENSORS = ("T_lidar_sensor", "lateral_offset", "lidar_id")
 
 
 class RunFolder(RecordedFolder):
@@ -66,11 +67,20 @@ class RunFolder(RecordedFolder):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._saved: bytes | None = None  # run.yaml as it is on disk
-        self._is_readable = False
-        found = self._load()
+        self._saved = _content(self._manifest_path)  # run.yaml as it is on disk
+        found = read_manifest(self._manifest_path)
+        self._is_readable = found is not None
+        if found is None:
+            found = read_manifest(self._copy_path)
+            if found is not None:
+                log.warning("%s was missing or damaged; its copy is used", self._manifest_path)
         self.begun = found is not None
         self.manifest = found or RunManifest()
+
+    def _set_paths(self, path: Path) -> None:
+        super()._set_paths(path)
+        self._manifest_path, self._copy_path = path / "run.yaml", self.state_dir / "run.yaml"
+        self.trajectory_path, self.sensors_path = path / "traj_odometry.ply", path / "sensors.npz"
 
     @classmethod
     def create(cls, path: Path, inputs: RunInputs | None, parameters: Parameters) -> RunFolder:
@@ -163,7 +173,7 @@ class RunFolder(RecordedFolder):
         # its name, so files are listed first.
         own = {STATE_DIR, f".{self._manifest_path.name}.part"}
         others = [file for file in self.path.iterdir() if file.name not in own]
-        if self._records_file(self.path).is_file():
+        if self.records(self.path).path.is_file():
             return False
         if self._manifest_path.exists() and self.frame_path(0).parent.is_dir():
             return False  # a run whose state is lost
@@ -182,7 +192,7 @@ class RunFolder(RecordedFolder):
             return path
         run = cls(Path(path))
         if not run.begun:
-            if run._manifest_path.exists() or run._records_file(run.path).is_file():
+            if run._manifest_path.exists() or run.records(run.path).path.is_file():
                 raise RunError(
                     f"{run._manifest_path} is missing or damaged",
                     f"begin the run again: `docdepth.run(RECORDING, {str(path)!r})`",
@@ -193,55 +203,15 @@ class RunFolder(RecordedFolder):
                 )
         return run
 
-    def _load(self) -> RunManifest | None:
-        """The content of run.yaml, or of its copy; None where both are missing or damaged."""
-        self._saved = self._manifest_text()
-        found = read_manifest(self._manifest_path)
-        self._is_readable = found is not None
-        if found is None:
-            found = read_manifest(self._copy_path)
-            if found is not None:
-                log.warning("%s was missing or damaged; its copy is used", self._manifest_path)
-        return found
-
-    def _manifest_text(self) -> bytes | None:
-        try:
-            return self._manifest_path.read_bytes()
-        except OSError:
-            return None
-
     def _check_unchanged(self) -> None:
-        if self._saved != self._manifest_text():
+        if self._saved != _content(self._manifest_path):
             raise RunError(
                 f"another command has changed {self.path} meanwhile; run the same command again"
             )
 
-    def _has_written_into(self, name: str) -> bool:
-        folders = self.manifest.folders_written
-        return folders is None or name in folders
-
-    def _note_written_into(self, name: str) -> None:
-        folders = self.manifest.folders_written
-        if folders is not None and name not in folders:
-            folders.append(name)
-            self.save()
-
-    def invalidate(self, path: Path) -> None:
-        """Have a file made again."""
-        super().invalidate(path)
-        self.__dict__.pop("_sensors", None)
-
     @property
-    def _manifest_path(self) -> Path:
-        return self.path / "run.yaml"
-
-    @property
-    def _copy_path(self) -> Path:
-        return self.state_dir / "run.yaml"
-
-    @property
-    def trajectory_path(self) -> Path:
-        return self.path / "traj_odometry.ply"
+    def folders_written(self) -> list[str] | None:
+        return self.manifest.folders_written
 
     @property
     def parameters(self) -> Parameters:
@@ -273,10 +243,7 @@ class RunFolder(RecordedFolder):
     def is_saved(self) -> bool:
         """Whether run.yaml and its copy hold what is known."""
         text = self.manifest.text()
-        return all(
-            path.is_file() and path.read_bytes() == text
-            for path in (self._manifest_path, self._copy_path)
-        )
+        return all(_content(path) == text for path in (self._manifest_path, self._copy_path))
 
     def save(self) -> None:
         """Write run.yaml, and a copy that is used where the first is damaged."""
@@ -285,7 +252,7 @@ class RunFolder(RecordedFolder):
         self._is_readable = True
         text = self._saved = self.manifest.text()
         for path in (self._manifest_path, self._copy_path):
-            if not path.is_file() or path.read_bytes() != text:
+            if _content(path) != text:
                 write_atomically(path, lambda stream: stream.write(text))
 
     def stage(self, name: str) -> StageEntry:
@@ -299,24 +266,25 @@ class RunFolder(RecordedFolder):
 
     def stage_inputs(self, stage: str) -> dict[str, object]:
         """What the results of a stage were made of; empty before it starts."""
-        found = self._all_stage_inputs().get(stage, {})
+        found = self.read_notes(_STAGE_INPUTS).get(stage, {})
         return dict(found) if isinstance(found, dict) else {}
 
     def set_stage_inputs(self, stage: str, inputs: Mapping[str, object]) -> None:
         """Note what the results of a stage are made of, to say later what has changed."""
-        text = json.dumps({**self._all_stage_inputs(), stage: inputs}, indent=1).encode()
-        self.write(self._stage_inputs_path, lambda stream: stream.write(text), {})
+        self.write_notes(_STAGE_INPUTS, {**self.read_notes(_STAGE_INPUTS), stage: inputs})
 
-    @property
-    def _stage_inputs_path(self) -> Path:
-        return self.state_dir / "stage_inputs.json"
-
-    def _all_stage_inputs(self) -> dict[str, object]:
+    def read_notes(self, name: str) -> dict[str, object]:
+        """A JSON file of ``.docdepth``; empty where it is missing or damaged."""
         try:
-            found = parse_json(self._stage_inputs_path.read_text())
+            found = parse_json((self.state_dir / name).read_text())
         except (OSError, ValueError):
             return {}
         return found if isinstance(found, dict) else {}
+
+    def write_notes(self, name: str, notes: Mapping[str, object]) -> None:
+        """Write a JSON file of ``.docdepth``."""
+        text = json.dumps(notes, indent=1).encode()
+        self.write(self.state_dir / name, lambda stream: stream.write(text), {})
 
     def frame_path(self, index: int) -> Path:
         return self.path / "frames" / f"frame_{index:06d}.ply"
@@ -371,23 +339,14 @@ class RunFolder(RecordedFolder):
     def _rig_of(self, sensor: NDArray[np.uint8]) -> SensorRig:
         """Where the rays of points begin, by the sensor of each."""
         try:
-            return SensorRig(sensor, **self._sensors)
+            return SensorRig(sensor, **_sensors(self.sensors_path, _identity(self.sensors_path)))
         except (InputError, TypeError, ValueError) as error:
             raise DamagedFileError(self.sensors_path, str(error)) from None
 
     def write_sensors(self, sensor_rig: SensorRig, key: dict[str, str]) -> None:
         """Write where the LiDARs or their lasers sit, once for all frames."""
-        content = sensors_bytes(sensor_rig)
-        self.write(self.sensors_path, lambda stream: stream.write(content), key)
-        self.__dict__.pop("_sensors", None)  # the cache of what was read before
-
-    @property
-    def sensors_path(self) -> Path:
-        return self.path / "sensors.npz"
-
-    @cached_property
-    def _sensors(self) -> dict[str, NDArray[Any]]:
-        return read_sensors(self.sensors_path)
+        arrays = {name: getattr(sensor_rig, name) for name in _OF_SENSORS}
+        self.write(self.sensors_path, lambda stream: np.savez(stream, **arrays), key)
 
     def frame_key(self, index: int) -> dict[str, str]:
         """What frame ``index`` was made of, a hash for each stage; empty if it is not whole."""
@@ -396,10 +355,6 @@ class RunFolder(RecordedFolder):
     def write_frame(self, index: int, frame: LidarFrame, key: dict[str, str] | None = None) -> None:
         """Write frame ``index``; ``key`` tells what it is made of, a hash for each stage."""
         write_frame(self.frame_path(index), frame, self.writer(key or {}))
-
-    def write_classes(self, index: int, frame: LidarFrame, key: dict[str, str]) -> None:
-        """Write the classes of frame ``index``."""
-        write_classes(self.classes_path(index), frame, self.writer(key))
 
     def trajectory(self) -> Trajectory:
         """LiDAR poses, one a frame."""
@@ -471,6 +426,20 @@ def _identity(path: Path) -> tuple[int, ...]:
     except OSError:
         return ()
     return known.st_ino, known.st_size, known.st_mtime_ns
+
+
+def _content(path: Path) -> bytes | None:
+    """None where there is no file that can be read."""
+    try:
+        return path.read_bytes()
+    except OSError:
+        return None
+
+
+@lru_cache(maxsize=1)
+def _sensors(path: Path, identity: tuple[int, ...]) -> dict[str, NDArray[Any]]:
+    """Arguments of :class:`SensorRig` that all frames of a run share, read once."""
+    return dict(zip(_OF_SENSORS, read_kept_arrays(path, *_OF_SENSORS), strict=True))
 
 
 # All chunks of a worker ask for the trajectory of the whole drive.

@@ -10,20 +10,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.concurrency import Progress, Timer, null_progress
-from docdepth.config import DynamicsParameters
 from docdepth.diagnostics.results import check_classes
 from docdepth.dynamics.sweep_classifier import SweepClassifier
-from docdepth.errors import RunError
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import Chunk, chunks, label_chunk
 from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.io.tracks import TRACKS, write_tracks
 from docdepth.pipeline.given_labels import take_labels
 from docdepth.pipeline.parallel import ChunkContext, WorkerPool
 from docdepth.pipeline.plan import classify_stage
 from docdepth.pipeline.resources import parameters_within_budget
 from docdepth.pipeline.stage import Stage, remove_others
-from docdepth.pipeline.stored_arrays import write_arrays
-from docdepth.pipeline.sweep_store import EVIDENCE, GROUND, TRACKING, FrameStore, ground_file
+from docdepth.pipeline.sweep_store import (
+    EVIDENCE,
+    GROUND,
+    TRACKING,
+    FrameStore,
+    sweep_file,
+    write_arrays,
+)
 
 
 def run_classify(
@@ -56,68 +61,76 @@ def run_classify(
     """
     if run.manifest.inputs is not None and run.manifest.inputs.labels is not None:
         return take_labels(run, progress, stage)
-    p, workers = run.parameters, workers or WorkerPool(threads)
+    workers = workers or WorkerPool(threads)
     with run.lock("classify"):
         stage, trajectory = stage or classify_stage(run), run.trajectory()
+        store = FrameStore(run, stage.made_of, len(trajectory))
+        has_tracks = stage.is_made_once()
+        # Tracks are made of all sweeps, and change their labels.
+        known = has_tracks or store.tracks.is_whole()
+        left = stage.left() if known else [*range(len(trajectory))]
+        if not left and has_tracks:
+            return
         of_ground = parameters_within_budget(run).ground.model_dump()
         ground_key = {
             "ground": stage_key(stage.inputs["version"], stage.inputs["odometry"], of_ground)
         }
-        key, store = stage.made_of, FrameStore(run, stage.made_of, trajectory, stage=stage)
-        if all(store.is_done(i) for i in range(len(trajectory))) and store.has_tracks():
-            return
         with stage.working() as profile:
-            store.timer = timer = profile.timer
-            _grow_ground(run, trajectory, ground_key, timer, workers, progress)
-            profile.frames = _classify(store, trajectory, p.dynamics, timer, workers, progress)
-            store.write_tracks()
+            store.timer = profile.timer
+            _grow_ground(run, trajectory, ground_key, profile.timer, workers, progress)
+            if left:
+                _classify(store, trajectory, left, workers, progress)
+            profile.frames = len(left)
+            if not has_tracks:
+                write = run.writer(stage.made_of)
+                write_tracks(run.path / TRACKS, store.tracks.tracks(), trajectory.times, write)
             profile.add(check_classes(store.counts))
             run.remove_tree(run.state_dir / EVIDENCE)
             remove_others(run, run.state_dir / GROUND, ground_key)
-            remove_others(run, run.state_dir / TRACKING, key)
+            remove_others(run, run.state_dir / TRACKING, stage.made_of)
             stage.remove_outdated()
 
 
 def _classify(
     store: FrameStore,
     trajectory: Trajectory,
-    parameters: DynamicsParameters,
-    timer: Timer,
+    left: list[int],
     workers: WorkerPool,
     progress: Progress | None,
-) -> int:
-    """Classify the sweeps that are not classified yet; how many these were."""
-    report, every = progress or null_progress, range(len(trajectory))
-    left = [i for i in every if not store.is_done(i)]
-    if not left:
-        return 0
-    by_tracks, known = parameters.evidence == "tracks", store.tracked() is not None
+) -> None:
+    """Classify the sweeps that are not classified yet."""
+    run, timer, every = store.run, store.timer, range(len(trajectory))
+    parameters, report = run.parameters.dynamics, progress or null_progress
+    by_tracks = parameters.evidence == "tracks"
+    finds_tracks = by_tracks and not store.tracks.is_whole()
     # Tracks are made of the evidence of all sweeps. Where they are known, few sweeps are missing.
-    needed = every if by_tracks and not known else left
-    without = [i for i in needed if not (by_tracks and store.has_evidence(i))]
+    without = [
+        i
+        for i in (every if finds_tracks else left)
+        if not (by_tracks and run.key(store.evidence_file(i)) == store.key)
+    ]
     kept = len(every) - len(without)
     report("classify", kept, len(every))
 
     def map_chunks(step: _Step, sweeps: list[int], done: Callable[[int], None]) -> None:
         chunks = workers.cut(sweeps, trajectory.arc_length[sweeps])
         on_chunk = partial(_classify_chunk, step, store.key)
-        for _, counts in workers.map_frames(store.run, on_chunk, chunks, timer, done):
+        for _, counts in workers.map_frames(run, on_chunk, chunks, timer, done):
             store.counts += counts
 
     map_chunks("votes", without, lambda done: report("classify", kept + done, len(every)))
-    if by_tracks:
-        if not known:
-            classifier = SweepClassifier(trajectory, parameters, timer)
-            store.store_tracks(
-                lambda take: classifier.track(
-                    store.detections,
-                    take,
-                    lambda done: report("track", done, len(every)),
-                    workers.threads,
-                )
+    if finds_tracks:
+        classifier = SweepClassifier(trajectory, parameters, timer)
+        store.tracks.write(
+            lambda take: classifier.track(
+                store.detections,
+                take,
+                lambda done: report("track", done, len(every)),
+                workers.threads,
             )
+        )
+    if by_tracks:
         map_chunks("tracks", left, lambda done: None)
-    return len(left)
 
 
 def _grow_ground(
@@ -130,15 +143,16 @@ def _grow_ground(
 ) -> None:
     """Ground labels of every frame; those of each chunk are kept in a file."""
     report, total = progress or null_progress, len(trajectory)
-    found = chunks(trajectory, parameters_within_budget(run).ground)
-    left = [chunk for chunk in found if run.key(ground_file(run, chunk)) != key]
-    kept = total - sum(map(_sweep_count, left))
-
-    def done_of_left(done: int) -> None:
-        report("ground", kept + done, total)
-
+    left = [
+        chunk
+        for chunk in chunks(trajectory, parameters_within_budget(run).ground)
+        if not all(run.key(sweep_file(run, GROUND, k)) == key for k in chunk.sweeps)
+    ]
+    kept = total - sum(_sweep_count(chunk) for chunk in left)
     work = partial(_label_ground, key)
-    for _ in workers.map_frames(run, work, left, timer, done_of_left, _sweep_count):
+    for _ in workers.map_frames(
+        run, work, left, timer, lambda done: report("ground", kept + done, total), _sweep_count
+    ):
         pass
     report("ground", total, total)
 
@@ -151,12 +165,19 @@ def _label_ground(key: dict[str, str], context: ChunkContext, chunk: Chunk) -> N
         with timer("read"):
             return run.points(index)
 
-    def done(share: float) -> None:
-        context.progress(int(share * _sweep_count(chunk)))
-
     trajectory, p = run.trajectory(), parameters_within_budget(run).ground
-    labels = label_chunk(chunk, read, trajectory, p, context.threads, done, timer)
-    write_arrays(run, ground_file(run, chunk), key, map(np.packbits, labels))
+    labels = label_chunk(
+        chunk,
+        read,
+        trajectory,
+        p,
+        context.threads,
+        lambda share: context.progress(int(share * _sweep_count(chunk))),
+        timer,
+    )
+    for index, ground in zip(chunk.sweeps, labels, strict=True):
+        packed = {"ground": np.packbits(ground)}
+        write_arrays(run, sweep_file(run, GROUND, index), key, packed)
 
 
 def _sweep_count(chunk: Chunk) -> int:
@@ -173,13 +194,10 @@ def _classify_chunk(
     """Do a step on some sweeps; the counts of those that were written."""
     run, timer = context.run, context.timer
     trajectory = run.trajectory()
-    store = FrameStore(run, key, trajectory, timer)
+    store = FrameStore(run, key, len(trajectory), timer)
     classifier = SweepClassifier(trajectory, run.parameters.dynamics, timer)
     if step == "votes":
         classifier.vote_on(store, sweeps, context.progress, context.threads)
-        return store.counts
-    tracked = store.tracked()
-    if tracked is None:
-        raise RunError("there are no tracks to add; run the same command again")
-    classifier.label_by_tracks(store, tracked, sweeps, context.progress)
+    else:
+        classifier.label_by_tracks(store, store.tracks, sweeps, context.progress)
     return store.counts

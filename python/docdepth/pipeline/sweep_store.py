@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
 import docdepth._core as _core
 from docdepth.concurrency import Timer
@@ -20,35 +19,25 @@ from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.sweep_classifier import Evidence
 from docdepth.dynamics.tracking import TakeSweep, TrackedSweep
 from docdepth.dynamics.voting import Votes
-from docdepth.errors import DamagedFileError
+from docdepth.errors import DamagedFileError, InputError
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.track import Track
-from docdepth.geometry.trajectory import Trajectory
-from docdepth.ground.growing import Chunk, chunks
+from docdepth.io.frames import write_classes
 from docdepth.io.labels import write_labels
+from docdepth.io.npy import read_kept_arrays
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.tracks import TRACKS, write_tracks
-from docdepth.pipeline.resources import parameters_within_budget
-from docdepth.pipeline.stage import Stage
-from docdepth.pipeline.stored_arrays import (
-    Offsets,
-    are_stored,
-    array_offsets,
-    read_arrays,
-    store_tracks,
-    stored_sweeps,
-    stored_tracks,
-    write_arrays,
-)
 
-EVIDENCE = "evidence"
-"""Folder in the state of a run with what an interrupted stage goes on with."""
+EVIDENCE, GROUND, TRACKING = "evidence", "ground", "tracks"
+"""Folders in the state of a run with a file for each sweep: an interrupted stage goes on with them.
+Ground and tracks stay when it is done, so that single frames are classified again."""
 
-GROUND, TRACKING = "ground", "tracks"
-"""Folders in the state of a run. With them, single frames are classified again."""
-
-_OF_EVIDENCE, _OF_DETECTIONS = 5, 3
+_OF_EVIDENCE = ("objects", "votes_static", "votes_dynamic", "classid", "occupied_once")
+_OF_DETECTIONS = ("rows", "samples", "borders")
 """Arrays of a file of evidence."""
+
+_OF_TRACK = ("id", "kind", "size")
+_OF_POSES = ("times", "poses", "velocities", "points", "deviations", "surface_deviations")
+"""Arrays of the file of tracks: of each track, and of each of its poses."""
 
 _HELD_DETECTIONS = 64
 """Sweeps whose detections stay in memory: half a megabyte each by a LiDAR of 64 beams."""
@@ -63,34 +52,94 @@ def write_classified(
     if run.key(labels) != key:
         write_labels(labels, frame, run.writer(key))
     if run.key(classes) != key:
-        run.write_classes(index, frame, key)
+        write_classes(classes, frame, run.writer(key))
 
 
-def ground_file(run: RunFolder, chunk: Chunk) -> Path:
-    """Where the ground labels of a chunk of the drive are kept."""
-    return run.state_dir / GROUND / f"chunk_{chunk.sweeps[0]:06d}.npy"
+def sweep_file(run: RunFolder, kind: str, index: int) -> Path:
+    """The arrays of a sweep in one of the folders above."""
+    return run.state_dir / kind / f"{index:06d}.npz"
 
 
-class _GroundLabels:
-    """Ground labels of all frames, in a file for each chunk of the drive."""
+def write_arrays(
+    run: RunFolder, path: Path, key: dict[str, str], arrays: Mapping[str, Any]
+) -> None:
+    """Write arrays that the same stage reads again."""
+    run.write(path, lambda stream: np.savez(stream, **arrays), key, sync=False)
 
-    def __init__(self, run: RunFolder, trajectory: Trajectory) -> None:
-        found = chunks(trajectory, parameters_within_budget(run).ground)
-        self._first = [chunk.sweeps[0] for chunk in found]
-        self._files = [ground_file(run, chunk) for chunk in found]
-        self._offsets: dict[Path, Offsets] = {}
 
-    def read(self, index: int) -> NDArray[np.uint8]:
-        """Of a frame, as packed bits."""
-        chunk = bisect_right(self._first, index) - 1
-        file, place = self._files[chunk], index - self._first[chunk]
-        if file not in self._offsets:
-            self._offsets[file] = array_offsets(file)
-        offsets = self._offsets[file]
-        if place >= len(offsets):
-            raise DamagedFileError(file, f"it has labels of {len(offsets)} frames")
-        packed: NDArray[np.uint8] = read_arrays(file, 1, offset=int(offsets[place]))[0]
-        return packed
+class TrackStore(Sequence[TrackedSweep]):
+    """What tracks found in each sweep, and the tracks of the drive.
+
+    Each sweep has its file: a drive may be too long to hold all of it. They stay when the stage is
+    done, and with them single frames are classified again.
+
+    Parameters
+    ----------
+    run : RunFolder
+    key : dict
+        What classes are made of.
+    count : int
+        Sweeps of the drive.
+    """
+
+    def __init__(self, run: RunFolder, key: dict[str, str], count: int) -> None:
+        self._run, self._key, self._count = run, key, count
+        self._paths = run.state_dir / TRACKING / "paths.npz"
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> TrackedSweep: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[TrackedSweep]: ...
+    def __getitem__(self, index: int | slice) -> TrackedSweep | list[TrackedSweep]:
+        if isinstance(index, slice):
+            return [self[k] for k in range(len(self))[index]]
+        path = sweep_file(self._run, TRACKING, range(len(self))[index])
+        return TrackedSweep(*read_kept_arrays(path, *TrackedSweep._fields))
+
+    def is_whole(self) -> bool:
+        """Whether all files are whole and made of the key."""
+        files = (sweep_file(self._run, TRACKING, k) for k in range(len(self)))
+        return all(self._run.key(file) == self._key for file in (self._paths, *files))
+
+    def write(self, find: Callable[[TakeSweep], list[Track]]) -> None:
+        """Write what ``find`` hands over sweep by sweep, and the tracks that it returns."""
+        numbers = count()
+
+        def take(sweep: TrackedSweep) -> None:
+            path = sweep_file(self._run, TRACKING, next(numbers))
+            write_arrays(self._run, path, self._key, sweep._asdict())
+
+        tracks = find(take)
+        arrays = {name: np.array([getattr(t, name) for t in tracks]) for name in _OF_TRACK}
+        arrays["length"] = np.array([len(t) for t in tracks], np.int64)
+        for name in _OF_POSES if tracks else ():
+            arrays[name] = np.concatenate([getattr(t, name) for t in tracks])
+        write_arrays(self._run, self._paths, self._key, arrays)
+
+    def tracks(self) -> list[Track]:
+        """The tracks of the drive.
+
+        Raises
+        ------
+        DamagedFileError
+        """
+        *about, lengths = read_kept_arrays(self._paths, *_OF_TRACK, "length")
+        if not len(lengths):
+            return []
+        borders = np.cumsum(lengths)[:-1]
+        try:
+            of_poses = [np.split(a, borders) for a in read_kept_arrays(self._paths, *_OF_POSES)]
+            return [
+                Track(
+                    int(number), kind.item(), size=size, **dict(zip(_OF_POSES, rest, strict=True))
+                )
+                for number, kind, size, *rest in zip(*about, *of_poses, strict=True)
+            ]
+        except (InputError, ValueError, TypeError) as error:
+            raise DamagedFileError(self._paths, str(error)) from None
 
 
 class FrameStore:
@@ -98,89 +147,57 @@ class FrameStore:
 
     Parameters
     ----------
+    run : RunFolder
     key : dict
         What classes are made of.
-    trajectory : Trajectory
+    sweeps : int
+        Of the drive.
     timer : Timer, optional
-    stage : Stage, optional
-        Tells which sweeps are classified. A worker has none: it does all that it is given.
 
     Attributes
     ----------
+    tracks : TrackStore
     counts : ndarray of int64, shape (3,)
         Points of the sweeps that were written, from
         :func:`docdepth.diagnostics.results.count_classes`.
     """
 
     def __init__(
-        self,
-        run: RunFolder,
-        key: dict[str, str],
-        trajectory: Trajectory,
-        timer: Timer | None = None,
-        stage: Stage | None = None,
+        self, run: RunFolder, key: dict[str, str], sweeps: int, timer: Timer | None = None
     ) -> None:
-        self.run, self.key, self._trajectory, self._stage = run, key, trajectory, stage
+        self.run, self.key, self.timer = run, key, timer or Timer()
+        self.tracks = TrackStore(run, key, sweeps)
+        self.counts = np.zeros(3, np.int64)
         self._detections: OrderedDict[int, _core.Detections] = OrderedDict()
         self._keeping = Lock()
-        self._ground = _GroundLabels(run, trajectory)
-        self.timer = timer or Timer()
-        self.counts = np.zeros(3, np.int64)
 
-    @property
-    def _tracking(self) -> Path:
-        return self.run.state_dir / TRACKING
-
-    def _evidence_file(self, index: int) -> Path:
-        return self.run.state_dir / EVIDENCE / self.key["classify"] / f"{index:06d}.npy"
-
-    def is_done(self, index: int) -> bool:
-        if not self.has_tracks() and not are_stored(self.run, self._tracking, self.key):
-            return False  # tracks are made of all sweeps
-        return self._stage is not None and self._stage.is_made(index)
-
-    def tracked(self) -> Sequence[TrackedSweep] | None:
-        if not are_stored(self.run, self._tracking, self.key):
-            return None
-        return stored_sweeps(self._tracking, len(self._trajectory))
-
-    def store_tracks(self, find: Callable[[TakeSweep], list[Track]]) -> None:
-        store_tracks(self.run, self._tracking, self.key, find)
-        self._detections.clear()
-
-    def has_tracks(self) -> bool:
-        """Whether the file of tracks is there, where there should be one."""
-        wanted = self.run.parameters.dynamics.evidence == "tracks"
-        return not wanted or self.run.key(self.run.path / TRACKS) == self.key
-
-    def write_tracks(self) -> None:
-        """Write the file of tracks, if it is not there."""
-        if self.has_tracks() or not are_stored(self.run, self._tracking, self.key):
-            return
-        found, write = stored_tracks(self._tracking), self.run.writer(self.key)
-        write_tracks(self.run.path / TRACKS, found, self._trajectory.times, write)
-
-    def has_evidence(self, index: int) -> bool:
-        return self.run.key(self._evidence_file(index)) == self.key
+    def evidence_file(self, index: int) -> Path:
+        """What is known of a sweep before tracks, and what tracks are made of."""
+        return sweep_file(self.run, f"{EVIDENCE}/{self.key['classify']}", index)
 
     def read(self, index: int) -> LidarFrame:
         with self.timer("read"):
             frame = self.run.deskewed(index)
-            ground = np.unpackbits(self._ground.read(index), count=len(frame)).view(np.bool_)
+            (packed,) = read_kept_arrays(sweep_file(self.run, GROUND, index), "ground")
+            ground = np.unpackbits(packed, count=len(frame)).view(np.bool_)
         return frame.with_ground(ground)
 
     def store_evidence(self, index: int, evidence: Evidence, detections: _core.Detections) -> None:
         self._hold(index, detections)
-        labels, objects, occupied_once = evidence
-        arrays: list[NDArray[Any]] = [objects, labels.votes.static, labels.votes.dynamic]
-        arrays += [labels.classid, np.packbits(occupied_once), *detections.arrays]
+        labels, objects, once = evidence
+        of_evidence = objects, labels.votes.static, labels.votes.dynamic, labels.classid
+        named = zip(
+            (*_OF_EVIDENCE, *_OF_DETECTIONS),
+            (*of_evidence, np.packbits(once), *detections.arrays),
+            strict=True,
+        )
         with self.timer("write"):
-            write_arrays(self.run, self._evidence_file(index), self.key, arrays)
+            write_arrays(self.run, self.evidence_file(index), self.key, dict(named))
 
     def evidence(self, index: int) -> Evidence:
         with self.timer("read"):
-            objects, static, dynamic, classid, packed = read_arrays(
-                self._evidence_file(index), _OF_EVIDENCE
+            objects, static, dynamic, classid, packed = read_kept_arrays(
+                self.evidence_file(index), *_OF_EVIDENCE
             )
         once = np.unpackbits(packed, count=len(objects)).view(np.bool_)
         return Evidence(Labels(classid, Votes(static, dynamic)), objects, once)
@@ -190,9 +207,7 @@ class FrameStore:
             held = self._detections.get(index)
         if held is None:
             with self.timer("read"):
-                arrays = read_arrays(
-                    self._evidence_file(index), _OF_DETECTIONS, skipped=_OF_EVIDENCE
-                )
+                arrays = read_kept_arrays(self.evidence_file(index), *_OF_DETECTIONS)
                 held = _core.Detections.of(*arrays)
             self._hold(index, held)
         return held
