@@ -107,7 +107,7 @@ def test_it_does_not_matter_where_a_drive_is_cut(
             alone, itself = pickle.loads(pickle.dumps((task, chunk)))
             one = alone(itself)
             run.commit(one.files)
-            lengths.append(len(chunk))
+            lengths.append(size(chunk))
             yield number, one.result
 
     monkeypatch.setattr(WorkerPool, "map_frames", map_frames)

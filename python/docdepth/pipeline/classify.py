@@ -148,11 +148,16 @@ def _grow_ground(
         for chunk in chunks(trajectory, parameters_within_budget(run).ground)
         if not all(run.key(sweep_file(run, GROUND, k)) == key for k in chunk.sweeps)
     ]
-    kept = total - sum(_sweep_count(chunk) for chunk in left)
-    work = partial(_label_ground, key)
-    for _ in workers.map_frames(
-        run, work, left, timer, lambda done: report("ground", kept + done, total), _sweep_count
-    ):
+    kept = total - sum(len(chunk.sweeps) for chunk in left)
+    grown = workers.map_frames(
+        run,
+        partial(_label_ground, key),
+        left,
+        timer,
+        lambda done: report("ground", kept + done, total),
+        lambda chunk: len(chunk.sweeps),
+    )
+    for _ in grown:
         pass
     report("ground", total, total)
 
@@ -172,16 +177,12 @@ def _label_ground(key: dict[str, str], context: ChunkContext, chunk: Chunk) -> N
         trajectory,
         p,
         context.threads,
-        lambda share: context.progress(int(share * _sweep_count(chunk))),
+        lambda share: context.progress(int(share * len(chunk.sweeps))),
         timer,
     )
     for index, ground in zip(chunk.sweeps, labels, strict=True):
         packed = {"ground": np.packbits(ground)}
         write_arrays(run, sweep_file(run, GROUND, index), key, packed)
-
-
-def _sweep_count(chunk: Chunk) -> int:
-    return len(chunk.sweeps)
 
 
 _Step: TypeAlias = Literal["votes", "tracks"]

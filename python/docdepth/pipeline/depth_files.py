@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from operator import methodcaller
 from pathlib import Path
 from typing import Any
 
@@ -77,19 +78,27 @@ class DepthFiles:
         """The coverage of the images that are done, in order."""
         return [share for _, share in sorted(self.coverage.items())]
 
-    def files(self, index: int) -> list[Path]:
-        """All files of an image."""
-        layers = [self._path("layers", index, ".npz")] if self.parameters.output.layers else []
-        return [self._picture(index), *layers, *self._depths(index).values()]
+    def files(self, index: int) -> dict[str, Path]:
+        """All files of an image: ``report``, ``layers``, and a depth map of each format.
+
+        Depth maps come last, so that they mark the image as done.
+        """
+        name, output = self.stream.names[index], self.parameters.output
+        places = {"report": ("report", ".jpg"), "layers": ("layers", ".npz")}
+        if not output.layers:
+            del places["layers"]
+        places |= {format: ("depth", FORMATS[format]) for format in output.format}
+        return {
+            what: self.run.path / folder / self.folder / f"{name}{suffix}"
+            for what, (folder, suffix) in places.items()
+        }
 
     def once(self) -> list[Path]:
-        """The files of the camera itself."""
-        return [self.run.path / "depth" / self.folder / DESCRIPTION, *self.calibration()]
-
-    def calibration(self) -> list[Path]:
-        """Calibration and trajectory of the camera."""
+        """The files of the camera itself: description, calibration, trajectory and tracks."""
         folder = self.run.calibration_folder(self.folder)
-        return [folder / name for name in (INTRINSICS, EXTRINSICS, "traj_camera.ply", KITTI_TRACKS)]
+        names = (INTRINSICS, EXTRINSICS, "traj_camera.ply", KITTI_TRACKS)
+        description = self.run.path / "depth" / self.folder / DESCRIPTION
+        return [description, *(folder / name for name in names)]
 
     def folders(self) -> list[Path]:
         """Where the files of images lie."""
@@ -105,8 +114,8 @@ class DepthFiles:
 
     def depth(self, index: int) -> NDArray[np.float32]:
         """Read the depth map of an image."""
-        path = next(iter(self._depths(index).values()))
-        return read_depth(path, self.parameters.output.scale)
+        output = self.parameters.output
+        return read_depth(self.files(index)[output.format[0]], output.scale)
 
     def write_camera(
         self, poses: Trajectory, indices: NDArray[np.int64], tracks: Iterable[Track]
@@ -127,29 +136,26 @@ class DepthFiles:
     def write(
         self, index: int, depth: NDArray[np.float32], layers: dict[str, NDArray[Any]]
     ) -> float:
-        """Write all files of an image; the depth map last, so that it marks the image as done.
+        """Write all files of an image that are not up to date.
 
         Returns
         -------
         float
             Share of pixels with depth.
         """
-        key = self._key(index)
-
-        def write(path: Path, content: bytes) -> None:
-            if self.run.key(path) != key:
-                self.run.write(path, lambda out: out.write(content), key)
-
-        with suggest_skipping():
-            image = self.stream.rectified_image(index)
-        picture = encode_image(overlay(depth, image), ".jpg")
-        write(self._picture(index), picture)
-        if layers:
-            packed = npz_bytes(compressed=True, **layers)
-            write(self._path("layers", index, ".npz"), packed)
-        for format, path in self._depths(index).items():
-            content = encode_depth(depth, format, self.parameters.output.scale)
-            write(path, content)
+        key = {"render": self.key, "image": self.images[index]}
+        for what, path in self.files(index).items():
+            if self.run.key(path) == key:
+                continue
+            if what == "report":
+                with suggest_skipping():
+                    image = self.stream.rectified_image(index)
+                content = encode_image(overlay(depth, image), ".jpg")
+            elif what == "layers":
+                content = npz_bytes(compressed=True, **layers)
+            else:
+                content = encode_depth(depth, what, self.parameters.output.scale)
+            self.run.write(path, methodcaller("write", content), key)
         return _share_with_depth(depth)
 
     def describe(self, complete: bool = True) -> None:
@@ -186,19 +192,6 @@ class DepthFiles:
         path = self.run.path / "depth" / self.folder / DESCRIPTION
         key = {"render": self.key} if complete else {"incomplete": self.key}
         self.run.write(path, lambda out: out.write(content), key)
-
-    def _key(self, index: int) -> dict[str, str]:
-        return {"render": self.key, "image": self.images[index]}
-
-    def _picture(self, index: int) -> Path:
-        return self._path("report", index, ".jpg")
-
-    def _path(self, kind: str, index: int, suffix: str) -> Path:
-        return self.run.path / kind / self.folder / f"{self.stream.names[index]}{suffix}"
-
-    def _depths(self, index: int) -> dict[str, Path]:
-        """By format."""
-        return {f: self._path("depth", index, FORMATS[f]) for f in self.parameters.output.format}
 
 
 def _share_with_depth(depth: NDArray[np.float32]) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,9 +11,10 @@ from docdepth.datasets.base import CameraStream, Dataset
 from docdepth.datasets.files import ImageSource, file_of
 from docdepth.errors import DatasetError
 from docdepth.io.run_folder import RunFolder, stage_key
-from docdepth.io.yaml_json import parse_json
 
 _Known = dict[str, list[int | str]]
+_NOTES = "inputs.json"
+"""By name size and time of each file, and perhaps its hash and the time of its state."""
 
 
 class InputFiles:
@@ -30,9 +30,7 @@ class InputFiles:
     def __init__(self, run: RunFolder) -> None:
         self._run = run
         self._hashed = run.manifest.inputs is not None and run.manifest.inputs.hash_inputs
-        self._path = run.state_dir / "inputs.json"
-        """By name size and time of each file, and perhaps its hash and the time of its state."""
-        self._before = _read(self._path)
+        self._before = {what: _known(entry) for what, entry in run.read_notes(_NOTES).items()}
         self._now: dict[str, _Known] = {}
 
     def sweeps(self, recording: Dataset) -> str:
@@ -67,11 +65,10 @@ class InputFiles:
 
     def save(self) -> None:
         """Write what is known now."""
-        before = _read(self._path)
+        before = self._run.read_notes(_NOTES)
         now = {**before, **self._now}
         if now != before:
-            text = json.dumps(now, indent=0).encode()
-            self._run.write(self._path, lambda stream: stream.write(text), {})
+            self._run.write_notes(_NOTES, now)
 
     def _identify(self, what: str, files: Iterable[ImageSource], root: Path) -> str:
         before: _Known = self._before.get(what, {})
@@ -105,15 +102,10 @@ class InputFiles:
         return [entry[0], entry[2]] if self._hashed and len(entry) > 2 else entry[:2]
 
 
-def _read(path: Path) -> dict[str, _Known]:
-    try:
-        found = parse_json(path.read_text())
-        return {
-            what: {name: list(entry) for name, entry in files.items()}
-            for what, files in found.items()
-        }
-    except (OSError, ValueError, AttributeError, TypeError):
-        return {}
+def _known(files: object) -> _Known:
+    """What was noted of files; nothing where someone has changed it."""
+    entries = files.items() if isinstance(files, dict) else ()
+    return {name: entry for name, entry in entries if isinstance(entry, list)}
 
 
 def _hash(file: Path) -> str:

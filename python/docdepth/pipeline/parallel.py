@@ -89,10 +89,16 @@ class WorkerPool:
         Processes of this machine; 1 for this one alone.
     scheduler : str, optional
         Address of a Dask scheduler, whose workers do the work.
+
+    Attributes
+    ----------
+    inline : bool
+        Whether this process does the work.
     """
 
     def __init__(self, threads: int = 0, jobs: int = 1, scheduler: str | None = None) -> None:
         self.threads, self.jobs, self.scheduler = threads, jobs, scheduler
+        self.inline = scheduler is None and jobs == 1
         self._client: Any = None
         self._executor: Executor | None = None
         self._lifeline: Connection | None = None
@@ -124,11 +130,6 @@ class WorkerPool:
         if self._client is None:
             return self.jobs
         return max(sum(self._client.nthreads().values()), 1)
-
-    @property
-    def inline(self) -> bool:
-        """Whether this process does the work."""
-        return self.scheduler is None and self.jobs == 1
 
     def cut(self, items: Sequence[_Item], arc: NDArray[np.float64]) -> list[list[_Item]]:
         """Cut sweeps or images into chunks of about the same path length.

@@ -175,7 +175,7 @@ def render_stage(
         inputs,
         [
             FrameOutputs(
-                files.files(k),
+                [*files.files(k).values()],
                 {"image": identities[k]},
                 stream.images[k].name if stream.images else "",
             )

@@ -46,11 +46,6 @@ class ImageToRender:
     files: DepthFiles
     index: int
 
-    def view(self, trajectory: Trajectory) -> View:
-        """What the image shows, and from where."""
-        stream = self.files.stream
-        return View.at(stream.camera, stream.T_camera_lidar, trajectory, self.time)
-
 
 @dataclass(frozen=True)
 class RenderPlan:
@@ -215,7 +210,11 @@ def run_render(
         for alike in _drawn_alike(cameras):
             plan = plan_render(run, alike, stages)
             _render_cameras(plan, workers, progress or null_progress, renderer)
-            left_out += _names_left_out(plan, several=len(run.cameras) > 1)
+            left_out += [
+                f"{name}/{image}" if len(run.cameras) > 1 else image
+                for name, images in plan.left_out.items()
+                for image in images
+            ]
         if before != _profiles(run) or not index_is_whole(run):
             opened = {stream.name: stream for stream in streams}
             others = {} if run.cameras.keys() <= opened.keys() else cameras_at_hand(run)
@@ -284,11 +283,15 @@ def _render_cameras(
         work = partial(_render_images, renderer)
         chunks = workers.cut(images, plan.trajectory.arc_length_at([i.time for i in images]))
         parts = [_RenderChunk(_split_by_camera(some), plan.tracks_for(some)) for some in chunks]
-
-        def report(done: int) -> None:
-            progress("render", kept + done, total)
-
-        for number, shares in workers.map_frames(run, work, parts, profiles[0].timer, report):
+        rendered = workers.map_frames(
+            run,
+            work,
+            parts,
+            profiles[0].timer,
+            lambda done: progress("render", kept + done, total),
+            lambda part: len(part.images),
+        )
+        for number, shares in rendered:
             for image, share in zip(chunks[number], shares, strict=True):
                 image.files.coverage[image.index] = share
         for files, profile in zip(plan.files, profiles, strict=True):
@@ -297,15 +300,6 @@ def _render_cameras(
             profile.add(check_density(files.shares(), files.stream.name))
             profile.more["calibration"], found = _check_calibration(plan, files)
             profile.add(found)
-
-
-def _names_left_out(plan: RenderPlan, several: bool) -> list[str]:
-    """Images outside the sweeps, with their camera if there are several."""
-    return [
-        f"{name}/{image}" if several else image
-        for name, images in plan.left_out.items()
-        for image in images
-    ]
 
 
 def _check_calibration(plan: RenderPlan, files: DepthFiles) -> tuple[str | None, list[Finding]]:
@@ -333,9 +327,6 @@ class _RenderChunk:
     images: list[ImageToRender]
     tracks: Tracks
 
-    def __len__(self) -> int:
-        return len(self.images)
-
 
 def _render_images(renderer: Renderer, context: ChunkContext, chunk: _RenderChunk) -> list[float]:
     """Render images in order; meanwhile the next is prepared and the last is written.
@@ -347,7 +338,11 @@ def _render_images(renderer: Renderer, context: ChunkContext, chunk: _RenderChun
     """
     run, timer, images, tracks = context.run, context.timer, chunk.images, chunk.tracks
     trajectory, p = run.trajectory(), images[0].files.parameters.render
-    views = [image.view(trajectory) for image in images]
+    streams = [image.files.stream for image in images]
+    views = [
+        View.at(stream.camera, stream.T_camera_lidar, trajectory, image.time)
+        for stream, image in zip(streams, images, strict=True)
+    ]
     is_drawn = TracksInView(tracks, trajectory, views).draws
 
     def load(index: int, whole: bool) -> RenderSweep:

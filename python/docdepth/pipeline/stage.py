@@ -121,14 +121,10 @@ class Stage:
         """Hash of the inputs."""
         return stage_key(self.inputs)
 
-    @property
+    @cached_property
     def made_of(self) -> dict[str, str]:
         """What the records of its files name."""
-        return {self._kind: self.key}
-
-    @property
-    def _kind(self) -> str:
-        return self.name.partition(" ")[0]
+        return {self.name.partition(" ")[0]: self.key}
 
     def left(self) -> list[int]:
         """Frames whose files are missing, damaged or made of something else."""
@@ -161,17 +157,24 @@ class Stage:
         verify : bool
             Compare the content of each file with its checksum, not only size and time.
         """
-        run, checks = self.run, _FileChecks(self.run, verify)
-        whole, changed = 0, []
-        for outputs in self.frames:
-            is_whole = all([checks.add(file, self.made_of) for file in outputs.files])
-            same = all(
-                outputs.made_of.items() <= run.recorded_key(file).items() for file in outputs.files
-            )
-            whole += is_whole and same
+        run, size, done, changed = self.run, 0, list[bool](), list[str]()
+        damaged: list[str] = []
+        missing: list[str] = []
+        for outputs in (*self.frames, FrameOutputs(self.once)):
+            is_whole = same = True
+            for file in outputs.files:
+                records = run.records(file.parent)
+                state, key = records.state(file.name, verify), records.recorded_key(file.name)
+                same &= outputs.made_of.items() <= key.items()
+                size += records.size(file.name)
+                if state != "whole" or not self.made_of.items() <= key.items():
+                    is_whole = False
+                    name = file.relative_to(run.path).as_posix()
+                    (damaged if state == "damaged" else missing).append(name)
+            done.append(is_whole and same)
             if is_whole and not same:
                 changed.append(outputs.source)
-        complete = all([checks.add(file, self.made_of) for file in self.once])
+        complete, whole = done.pop(), sum(done)
         entry, all_frames = run.stage(self.name), len(self.frames)
         if all_frames and complete and whole == all_frames:
             deleted = not self.frames[0].files
@@ -180,16 +183,15 @@ class Stage:
             found, whole = ("missing", "it was not made yet"), 0
         elif entry.key != self.key:
             found = "out of date", self._why_outdated()
-        elif checks.damaged:
-            found = "damaged", f"{checks.damaged[0]} differs from what was written"
+        elif damaged:
+            found = "damaged", f"{damaged[0]} differs from what was written"
         elif entry.state == "running":
             found = "incomplete", "it was interrupted"
-        elif changed and not checks.missing:
+        elif changed and not missing:
             found = "out of date", f"{len(changed)} images have changed, {changed[0]} first"
         else:
-            found = "incomplete", f"{(*checks.missing, 'a file')[0]} is missing"
-        size, seconds = checks.size, entry.total_seconds
-        return StageState(self.name, *found, whole, all_frames, size, seconds)
+            found = "incomplete", f"{(*missing, 'a file')[0]} is missing"
+        return StageState(self.name, *found, whole, all_frames, size, entry.total_seconds)
 
     def _why_outdated(self) -> str:
         """Which input has changed."""
@@ -239,6 +241,7 @@ class Stage:
 _WERE_DELETED = "its frames were deleted when all was done (`keep='results'`)"
 
 
+@dataclass
 class Profile:
     """What a stage took.
 
@@ -255,10 +258,11 @@ class Profile:
         What looks wrong with the results.
     """
 
-    def __init__(self) -> None:
-        self.timer, self.frames, self.share = Timer(), 0, 1.0
-        self.more: dict[str, object] = {}
-        self.findings: list[Finding] = []
+    timer: Timer = field(default_factory=Timer)
+    frames: int = 0
+    share: float = 1.0
+    more: dict[str, object] = field(default_factory=dict)
+    findings: list[Finding] = field(default_factory=list)
 
     def add(self, findings: Iterable[Finding]) -> None:
         """Keep findings of a check, and log them."""
@@ -294,27 +298,6 @@ def recorded_warnings() -> Iterator[list[str]]:
         yield found
     finally:
         logger.removeHandler(handler)
-
-
-class _FileChecks:
-    """Compares files with their records, and keeps the names of those that are not whole."""
-
-    def __init__(self, run: RunFolder, verify: bool) -> None:
-        self._run, self._verify = run, verify
-        self.damaged: list[str] = []
-        self.missing: list[str] = []
-        self.size = 0
-
-    def add(self, file: Path, made_of: dict[str, str]) -> bool:
-        """Whether a file is whole and up to date."""
-        records = self._run.records(file.parent)
-        self.size += records.size(file.name)
-        state = records.state(file.name, self._verify)
-        if state == "whole" and made_of.items() <= records.recorded_key(file.name).items():
-            return True
-        name = file.relative_to(self._run.path).as_posix()
-        (self.damaged if state == "damaged" else self.missing).append(name)
-        return False
 
 
 def remove_others(run: RunFolder, folder: Path, made_of: Mapping[str, str]) -> None:
