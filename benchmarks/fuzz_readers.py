@@ -232,7 +232,7 @@ _NOTES = tuple(f".docdepth/{name}" for name in (
 
 def _read_records(path: Path) -> None:
     """One content for all notes of a run: records of frames, what stages are made of, inputs."""
-    from docdepth.pipeline.input_files import InputFiles
+    from docdepth.pipeline.plan import InputFiles
 
     content, root = path.read_bytes(), path.parent
     for name in _NOTES:

@@ -15,7 +15,7 @@ from docdepth.cli import app
 from docdepth.errors import InputError, RunError
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.run_cameras import recorded_camera
+from docdepth.pipeline.run_inputs import recorded_camera
 from true_drive import write_true_drive
 
 LENGTH = 7

@@ -23,9 +23,9 @@ from docdepth.errors import (
 )
 from docdepth.io.inputs import RunInputs
 from docdepth.odometry.odometry import register_drive
-from docdepth.pipeline import resources
+from docdepth.pipeline import execution
 from docdepth.pipeline.check import check_inputs, report_inputs
-from docdepth.pipeline.resources import check_image_size
+from docdepth.pipeline.execution import check_image_size
 
 
 def source(dataset: Path, **values: Any) -> RunInputs:
@@ -308,11 +308,11 @@ def test_images_that_cannot_be_held_are_refused(drive: Path) -> None:
 def test_a_run_that_needs_too_much_is_refused(
     drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(resources, "available_memory", lambda: 10**8)
+    monkeypatch.setattr(execution, "available_memory", lambda: 10**8)
     assert "pixels need 0.1 GB of memory by estimate, 0.1 GB are free" in texts(
         problems(drive), "error"
     )
-    monkeypatch.setattr(resources, "available_memory", lambda: 240 * 10**6)
+    monkeypatch.setattr(execution, "available_memory", lambda: 240 * 10**6)
     assert "the run needs 0." in texts(problems(drive), "error")
     monkeypatch.undo()
     usage = shutil.disk_usage(tmp_path)._replace(free=10**6)
@@ -321,13 +321,13 @@ def test_a_run_that_needs_too_much_is_refused(
 
 
 def test_memory_of_a_container_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(resources, "_CGROUP", tmp_path)
+    monkeypatch.setattr(execution, "_CGROUP", tmp_path)
     (tmp_path / "memory.max").write_text("1000000\n")
     (tmp_path / "memory.current").write_text("900000\n")
     (tmp_path / "memory.stat").write_text("anon 500000\nactive_file 100000\ninactive_file 200000\n")
-    assert resources.available_memory() == 400_000
+    assert execution.available_memory() == 400_000
     (tmp_path / "memory.max").write_text("max\n")
-    free = resources.available_memory()
+    free = execution.available_memory()
     assert free is not None
     assert free > 400_000
 

@@ -19,8 +19,9 @@ from docdepth.io.calibration import read_camera_calibration, write_calibration
 from docdepth.io.inputs import RunInputs
 from docdepth.io.poses import write_kitti
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.cameras import open_cameras
 from docdepth.pipeline.plan import states
-from docdepth.pipeline.run_inputs import open_cameras, open_inputs, open_recording
+from docdepth.pipeline.run_inputs import open_inputs, open_recording
 from small_drive import HEIGHT, SWEEPS, WIDTH, write_small_drive
 from walled_yard import straight
 

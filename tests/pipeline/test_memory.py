@@ -25,8 +25,8 @@ from docdepth.ground.growing import Chunk, chunks
 from docdepth.io.file_records import FileRecords
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import classify
+from docdepth.pipeline.execution import bytes_of, memory_of_run, within_memory
 from docdepth.pipeline.plan import states
-from docdepth.pipeline.resources import bytes_of, memory_of_run, within_memory
 from docdepth.pipeline.run import run
 
 

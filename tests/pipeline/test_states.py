@@ -21,11 +21,11 @@ from docdepth.io.poses import write_kitti
 from docdepth.io.recorded_folder import RecordedFolder
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry
+from docdepth.pipeline.cameras import virtual_camera
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.plan import require, states
 from docdepth.pipeline.run import continue_run, keeps_only_results, render_again, run
 from docdepth.pipeline.run_inputs import known_poses, recording_of
-from docdepth.pipeline.virtual_camera import virtual_camera
 from small_drive import SPARSE, SWEEPS, write_image, write_small_drive, write_sweep
 from walled_yard import scan, straight
 

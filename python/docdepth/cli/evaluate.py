@@ -24,7 +24,7 @@ from docdepth.evaluation.runs import evaluate_depth, evaluate_labels, evaluate_t
 from docdepth.evaluation.trajectories import evaluate_trajectories
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.render import report
-from docdepth.pipeline.run_cameras import recorded_camera
+from docdepth.pipeline.run_inputs import recorded_camera
 from docdepth.visualization.page import check_page
 from docdepth.visualization.report import index_is_whole, keep_held_out
 

@@ -14,7 +14,7 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import cloud_map
 from docdepth.pipeline.plan import require
 from docdepth.pipeline.render import report as write_report
-from docdepth.pipeline.run_cameras import cameras_at_hand, recorded_camera
+from docdepth.pipeline.run_inputs import cameras_at_hand, recorded_camera
 from docdepth.visualization.drive_scene import Coloring
 from docdepth.visualization.rerun_recording import write_rerun
 from docdepth.visualization.video import write_video, write_video_from_above

@@ -33,12 +33,12 @@ from docdepth.errors import ConfigError
 from docdepth.io.inputs import RunInputs, names_in
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry
+from docdepth.pipeline.cameras import virtual_camera
 from docdepth.pipeline.execution import Execution
 from docdepth.pipeline.plan import require
 from docdepth.pipeline.run import continue_run, render_again, run_stages
 from docdepth.pipeline.run_all import run_all
 from docdepth.pipeline.run_inputs import known_poses, open_recording
-from docdepth.pipeline.virtual_camera import virtual_camera
 from docdepth.render.backends import Renderer
 
 

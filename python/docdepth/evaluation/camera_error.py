@@ -33,7 +33,7 @@ from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.plan import require
-from docdepth.pipeline.run_cameras import recorded_camera
+from docdepth.pipeline.run_inputs import recorded_camera
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,8 @@ from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
+from docdepth.pipeline.cameras import camera_parameters
 from docdepth.pipeline.plan import require
-from docdepth.pipeline.run_cameras import camera_parameters
 from docdepth.render.depth_map import compose_depth, render_list
 from docdepth.render.render_sweep import RenderSweep, prepare_sweep
 from docdepth.render.selection import needed_sweeps

@@ -27,7 +27,8 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
-from docdepth.pipeline.run_inputs import open_cameras, open_recording
+from docdepth.pipeline.cameras import open_cameras
+from docdepth.pipeline.run_inputs import open_recording
 
 Floats = NDArray[np.float64]
 

@@ -23,17 +23,6 @@ log = logging.getLogger(__name__)
 _MOST = 0.5  # of the sweeps of a recording; if more are broken, it is not the sweeps
 
 
-def kept_part(
-    recording: Dataset, frames: str | None, skipped: SkippedFrames | None = None
-) -> Dataset:
-    """The sweeps of a recording that a run is of: ``frames``, without those that are skipped."""
-    sweeps = [] if skipped is None else list(skipped.sweeps)
-    images = {} if skipped is None else skipped.images
-    if not frames and not sweeps and not images:
-        return recording
-    return FrameRange(recording, frames or ":", sweeps, images)
-
-
 def find_broken(
     recording: Dataset,
     cameras: Sequence[CameraStream],

@@ -16,10 +16,10 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import Chunk, chunks, label_chunk
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.tracks import TRACKS, write_tracks
+from docdepth.pipeline.execution import parameters_within_budget
 from docdepth.pipeline.given_labels import take_labels
 from docdepth.pipeline.parallel import ChunkContext, WorkerPool
 from docdepth.pipeline.plan import classify_stage
-from docdepth.pipeline.resources import parameters_within_budget
 from docdepth.pipeline.stage import Stage, remove_others
 from docdepth.pipeline.sweep_store import (
     EVIDENCE,

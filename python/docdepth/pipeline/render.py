@@ -24,10 +24,11 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import check_format
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.tracks import tracks_in
+from docdepth.pipeline.cameras import RunCamera, add_cameras, camera_parameters
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.parallel import ChunkContext, WorkerPool
 from docdepth.pipeline.plan import render_stage, require
-from docdepth.pipeline.run_cameras import RunCamera, add_cameras, camera_parameters, cameras_at_hand
+from docdepth.pipeline.run_inputs import cameras_at_hand
 from docdepth.pipeline.stage import Profile, Stage
 from docdepth.render.backends import Renderer
 from docdepth.render.depth_map import compose_depth, render_list

@@ -23,20 +23,29 @@ from docdepth.errors import (
 from docdepth.io.inputs import RunInputs, names_in
 from docdepth.io.manifest import CameraEntry, Keep, VirtualCamera
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.cameras import (
+    RunCamera,
+    add_cameras,
+    check_name,
+    open_cameras,
+    remove_undrawn_cameras,
+    run_cameras,
+)
 from docdepth.pipeline.check import check_inputs, check_opened
 from docdepth.pipeline.classify import run_classify
-from docdepth.pipeline.execution import Execution
+from docdepth.pipeline.execution import (
+    Execution,
+    keep_budget,
+    parameters_within_budget,
+    within_memory,
+)
 from docdepth.pipeline.given_labels import open_labels, take_labels
-from docdepth.pipeline.input_files import InputFiles
 from docdepth.pipeline.odometry import run_odometry
-from docdepth.pipeline.plan import plan, remove_undrawn_cameras, require
+from docdepth.pipeline.plan import InputFiles, plan, require
 from docdepth.pipeline.render import run_render
-from docdepth.pipeline.resources import keep_budget, parameters_within_budget, within_memory
-from docdepth.pipeline.run_cameras import RunCamera, add_cameras, open_run_cameras, run_cameras
 from docdepth.pipeline.run_inputs import known_poses, open_as_begun, open_inputs, recording_of
 from docdepth.pipeline.run_reader import Run
 from docdepth.pipeline.stage import Stage
-from docdepth.pipeline.virtual_camera import check_name
 from docdepth.render.backends import Renderer
 from docdepth.visualization.report import index_is_whole
 
@@ -253,7 +262,7 @@ def _named_cameras(
         folder.cameras[name] = CameraEntry(folder=name, virtual=description)
         return [name]
     if camera is not None:
-        streams = open_run_cameras(folder, recording, names_in(camera))
+        streams = open_cameras(folder.manifest.inputs, recording, names_in(camera))
         add_cameras(folder, streams)
         return [stream.name for stream in streams]
     if not folder.cameras:

@@ -15,11 +15,10 @@ from docdepth.config import Parameters
 from docdepth.datasets import find_recordings, open_dataset
 from docdepth.errors import ConfigError, DatasetError, DocDepthError, RunError
 from docdepth.io.inputs import RunInputs
-from docdepth.pipeline.execution import Execution
+from docdepth.pipeline.cameras import parse_size
+from docdepth.pipeline.execution import Execution, bytes_of
 from docdepth.pipeline.parallel import WorkerPool
-from docdepth.pipeline.resources import bytes_of
 from docdepth.pipeline.run import models_of, run_stages
-from docdepth.pipeline.virtual_camera import parse_size
 
 log = logging.getLogger(__name__)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,34 +15,27 @@ from docdepth.datasets import (
     Dataset,
     FrameRange,
     ImageStream,
-    full_recording,
     image_streams,
     open_dataset,
 )
 from docdepth.datasets.files import first_readable, read_image_of
 from docdepth.datasets.formats.docdepth_run import RunDataset
 from docdepth.datasets.point_times import Instant
-from docdepth.datasets.settings import camera_mask
-from docdepth.datasets.times import read_times
 from docdepth.datasets.up_axis import LEVEL_DEG, LevelledRecording, ground_of
-from docdepth.datasets.views import TurningLidar, View, WithoutEgo
+from docdepth.datasets.views import TurningLidar, WithoutEgo
 from docdepth.diagnostics.own_vehicle import find_own_vehicle
 from docdepth.diagnostics.rotation import find_rotation, lacks_times
 from docdepth.diagnostics.sweeps import find_sensor_origin
-from docdepth.errors import CalibrationError, DatasetError, Finding, log_findings
-from docdepth.geometry.camera import Camera
+from docdepth.errors import CalibrationError, Finding, log_findings
 from docdepth.geometry.turn import Turn
 from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.inputs import Box, DerivedInputs, Point, RunInputs, SkippedFrames
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.broken_frames import find_broken, kept_part
+from docdepth.pipeline.broken_frames import find_broken
+from docdepth.pipeline.cameras import as_recorded, open_cameras, parse_size, run_cameras
 from docdepth.pipeline.given_poses import read_given_poses
-from docdepth.pipeline.virtual_camera import parse_size
 
 log = logging.getLogger(__name__)
-
-ALL, NO_CAMERA = "all", "none"
-"""Names that stand for all cameras of a recording, and for no camera: poses and labels alone."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +131,7 @@ def _find_skipped(
     """Which frames of the whole recording are broken, if the run leaves them out."""
     if not inputs.skips_broken:
         return None
-    recording = kept_part(whole, inputs.frames)
+    recording = _part(whole, inputs, DerivedInputs())
     streams = open_cameras(inputs, recording, inputs.camera) if whole.cameras else []
     return find_broken(recording, streams, None if begun is None else begun.skipped)
 
@@ -151,7 +144,11 @@ def _part(recording: Dataset, inputs: RunInputs, derived: DerivedInputs) -> Data
         recording = LevelledRecording(recording, derived.up, derived.sensor_origin)
     if derived.turn:
         recording = TurningLidar(recording, derived.turn)
-    return kept_part(recording, inputs.frames, derived.skipped)
+    skipped = derived.skipped
+    sweeps, images = ([*skipped.sweeps], skipped.images) if skipped else ([], {})
+    if not inputs.frames and not sweeps and not images:
+        return recording
+    return FrameRange(recording, inputs.frames or ":", sweeps, images)
 
 
 def find_ego_boxes(
@@ -161,7 +158,7 @@ def find_ego_boxes(
 
     The arguments are those of :func:`find_up`.
     """
-    if recording.name == "run" or getattr(_as_recorded(recording), "ego_boxes", None) is not None:
+    if recording.name == "run" or getattr(as_recorded(recording), "ego_boxes", None) is not None:
         return None
     if begun:
         return begun.ego_boxes
@@ -179,13 +176,6 @@ def find_ego_boxes(
     )
     log_findings(log, [found])
     return vehicle.boxes
-
-
-def _as_recorded(recording: Dataset) -> Dataset:
-    """The recording itself, which knows what docdepth.yaml says of it."""
-    while isinstance(recording, View):
-        recording = recording.whole
-    return recording
 
 
 def find_ray_origin(
@@ -222,7 +212,7 @@ def find_up(recording: Dataset, begun: DerivedInputs | None = None) -> Point | N
     (float, float, float), or None
         Unit vector; None if z is up, or if it is not known.
     """
-    told = getattr(_as_recorded(recording), "up", None)
+    told = getattr(as_recorded(recording), "up", None)
     if told is not None:
         up = np.array(told, np.float64) / np.linalg.norm(told)
         return None if (up == (0, 0, 1)).all() else _point(up)
@@ -317,61 +307,6 @@ def _calibrated(recording: Dataset, file: Path, asked: Sequence[str]) -> CameraS
     )  # fmt: skip
 
 
-def open_cameras(
-    inputs: RunInputs, recording: Dataset, wanted: Sequence[str] | None
-) -> list[CameraStream]:
-    """Cameras of a recording, with the image size and the times that the run was given.
-
-    Raises
-    ------
-    DatasetError, CalibrationError
-        There is no such camera, or its times are broken.
-    """
-    size = parse_size(inputs.image_size)
-    whole = full_recording(recording)
-    streams = [whole.cameras[name] for name in camera_names(wanted, whole)]
-    if size:
-        streams = [
-            s
-            if size == (s.camera.width, s.camera.height)
-            else replace(s, camera=Camera(s.camera.K, *size))
-            for s in streams
-        ]
-    streams = _with_masks(inputs, whole, streams)
-    if inputs.camera_times is not None:
-        streams = [_with_times(stream, inputs.camera_times) for stream in streams]
-    if isinstance(recording, FrameRange):
-        streams = [recording.part_of(stream) for stream in streams]
-    return streams
-
-
-def _with_masks(
-    inputs: RunInputs, recording: Dataset, streams: list[CameraStream]
-) -> list[CameraStream]:
-    """The cameras with the masks of the recording, or of the inputs in their place.
-
-    Raises
-    ------
-    CalibrationError
-        A mask is of a camera that is not there, or has another size than it.
-    """
-    masks = dict(getattr(_as_recorded(recording), "masks", {}))
-    for named in inputs.mask or ():
-        camera, _, file = named.partition(":")
-        masks[camera] = Path(file)
-    for name in masks.keys() - recording.cameras.keys():
-        raise CalibrationError(
-            f"{recording.path} has no camera {name!r} for a mask; it has "
-            f"{', '.join(recording.cameras) or 'none'}"
-        )
-    return [
-        replace(s, camera=replace(s.camera, mask=camera_mask(s.camera, masks[s.name])))
-        if s.name in masks
-        else s
-        for s in streams
-    ]
-
-
 def known_poses(inputs: RunInputs, recording: Dataset) -> NDArray[np.float64] | None:
     """Poses ``T_world_lidar`` (n, 4, 4) of file, recording or run; None: to be estimated."""
     if inputs.poses:
@@ -379,46 +314,19 @@ def known_poses(inputs: RunInputs, recording: Dataset) -> NDArray[np.float64] | 
     return recording.poses if recording.name == "run" else None
 
 
-def camera_names(wanted: Sequence[str] | None, recording: Dataset) -> list[str]:
-    """Names of the wanted cameras; the left colour camera if none is named."""
-    names = list(dict.fromkeys(wanted or ()))
-    if names == [NO_CAMERA]:
-        return []
-    cameras = recording.cameras
-    if not cameras:
-        images = ", ".join(image_streams(recording))
-        raise CalibrationError(
-            f"{recording.path} has no camera with K and T_camera_lidar; docdepth.yaml can add "
-            "them"
-            + (
-                f", and `docdepth.calibration.calibrate()` finds those of {images}"
-                if images
-                else ""
-            ),
-            "`camera='none'` makes poses and labels alone",
-        )
-    if wanted is None:
-        colour = [c for c in cameras if c in ("image_02", "image_2")]
-        return [colour[0] if colour else next(iter(cameras))]
-    if names == [ALL]:
-        return list(cameras)
-    for name in names:
-        if name not in cameras:
-            raise DatasetError(
-                f"{recording.path} has no camera {name!r}; it has {', '.join(cameras)}, or all"
-            )
-    return names
+def cameras_at_hand(run: RunFolder) -> dict[str, CameraStream]:
+    """The recorded cameras of a run by name; none where its recording is away."""
+    path = run.recording_path
+    if path is None or not path.exists():
+        return {}
+    cameras = run_cameras(run, recording_of(run))
+    return {camera.stream.name: camera.stream for camera in cameras}
 
 
-def _with_times(stream: CameraStream, path: Path) -> CameraStream:
-    """The camera with the times of a file."""
-    times = read_times(path)
-    if stream.images and len(times) != len(stream.images):
-        raise DatasetError(
-            f"{path} has {len(times)} times for {len(stream.images)} images of {stream.name}"
-        )
-    names = stream.names
-    if not stream.images:
-        digits = len(names[0]) if names and names[0].isdigit() else 10
-        names = [f"{i:0{digits}d}" for i in range(len(times))]
-    return replace(stream, times=times, names=names)
+def recorded_camera(run: RunFolder, folder: str) -> CameraStream | None:
+    """The camera whose maps are in ``depth/FOLDER``; None for a virtual camera."""
+    inputs = run.manifest.inputs
+    for name, entry in run.cameras.items():
+        if entry.folder == folder and entry.virtual is None and inputs is not None:
+            return open_cameras(inputs, recording_of(run), [name])[0]
+    return None

@@ -19,11 +19,11 @@ from docdepth.config import Parameters
 from docdepth.errors import ConfigError, RunError
 from docdepth.io.atomic import write_atomically
 from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.pipeline.cameras import add_cameras, run_cameras
 from docdepth.pipeline.classify import run_classify
 from docdepth.pipeline.odometry import run_odometry
 from docdepth.pipeline.plan import require
 from docdepth.pipeline.render import run_render
-from docdepth.pipeline.run_cameras import add_cameras, run_cameras
 from docdepth.pipeline.run_inputs import known_poses, open_recording, recording_of
 from docdepth.tuning.objective import LABELS, Objective
 from docdepth.tuning.results import Outcome, write_csv
