@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from docdepth.io.png import encode_png
+from docdepth.io.images import encode_png
 
 
 def decoded(content: bytes) -> np.ndarray:

@@ -24,7 +24,7 @@ from docdepth.pipeline import run_classify, run_odometry
 from docdepth.pipeline.cameras import virtual_camera
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.plan import require, states
-from docdepth.pipeline.run import continue_run, keeps_only_results, render_again, run
+from docdepth.pipeline.run import continue_run, render_again, run
 from docdepth.pipeline.run_inputs import known_poses, recording_of
 from small_drive import SPARSE, SWEEPS, write_image, write_small_drive, write_sweep
 from walled_yard import scan, straight
@@ -255,7 +255,7 @@ def test_run_ends_like_a_fresh_one_whatever_happened(tmp_path_factory, actions):
     if world.notes_lost:  # where nothing tells whose a file is, it is kept beside the new one
         made = {name: content for name, content in made.items() if ".old" not in name}
     fresh = results(world.fresh(), world)
-    if keeps_only_results(folder):
+    if folder.manifest.keep == "results":
         fresh = {
             name: content
             for name, content in fresh.items()

@@ -161,17 +161,17 @@ def read_frame(
     name = notes.get("name", path.stem)
     if not is_file_name(name):
         raise DamagedFileError(path, f"its sweep is called {name[:60]!r}")
-
-    def column(name: str) -> NDArray[Any] | None:
-        return np.ascontiguousarray(rows[name], _OPTIONAL[name]) if name in names else None
-
     index = (
         rows["index"].astype(np.uint32)
         if "index" in names
         else np.arange(len(rows), dtype=np.uint32)
     )
-    columns = {name: column(name) for name in _OPTIONAL}
-    sensor = columns.pop("sensor")
+    columns: dict[str, Any] = {
+        name: np.ascontiguousarray(rows[name], kind)
+        for name, kind in _OPTIONAL.items()
+        if name in names
+    }
+    sensor = columns.pop("sensor", None)
     return LidarFrame(
         points,
         index,

@@ -1,22 +1,25 @@
-"""Images out of bytes that others may have written or damaged."""
+"""Images in bytes: what others may have written or damaged, and PNG of 16 bits."""
 
 from __future__ import annotations
 
 import struct
+import zlib
 from typing import Any
 
 import cv2
 import numpy as np
+from isal import isal_zlib
 from numpy.typing import NDArray
 
-from docdepth.io.png import SIGNATURE
-
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _JPEG, _END = b"\xff\xd8", b"\xff\xd9"
 _SCAN = 0xDA  # kind of the segment before the pixels
 _FRAMES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
 """Kinds of the segment that tells the size."""
 _MOST_PACKED = 1100
 """Pixels for a byte: deflate packs 1032 bytes into one, a JPEG 256 pixels into twelve bits."""
+_UP = 2  # filter type: each byte less the one above it
+_LEVEL = 1  # of ISA-L: 0 is as fast and 13 % larger, 3 takes half as long again for no less
 
 
 def decode_image(content: bytes | NDArray[np.uint8], flags: int) -> NDArray[Any] | None:
@@ -44,7 +47,7 @@ def _claims_too_much(data: NDArray[np.uint8]) -> bool:
     OpenCV takes memory for both before it reads them, and makes up what is missing of a JPEG.
     """
     content = data.tobytes()
-    if content.startswith(SIGNATURE) and len(content) >= 24:
+    if content.startswith(_SIGNATURE) and len(content) >= 24:
         width, height = struct.unpack(">II", content[16:24])
         return width * height > _MOST_PACKED * len(content) or _has_long_chunk(content)
     if content.startswith(_JPEG):
@@ -55,7 +58,7 @@ def _claims_too_much(data: NDArray[np.uint8]) -> bool:
 
 def _has_long_chunk(content: bytes) -> bool:
     """Whether a chunk of a PNG goes beyond its end."""
-    begin = len(SIGNATURE)
+    begin = len(_SIGNATURE)
     while begin + 8 <= len(content):
         length, kind = struct.unpack(">I4s", content[begin : begin + 8])
         begin += length + 12  # with length, kind and checksum
@@ -81,3 +84,31 @@ def _size_of_jpeg(content: bytes) -> tuple[int, int] | None:
         if kind == _SCAN:
             return size if content.find(_END, begin) >= 0 else None
     return None
+
+
+def encode_png(pixels: NDArray[np.uint16]) -> bytes:
+    """A grey image as the content of a PNG.
+
+    OpenCV takes most of its time in zlib, whatever its settings. So the filtered rows are packed by
+    ISA-L here, in the format of zlib. The bytes may differ from processor to processor, the pixels
+    do not.
+
+    Parameters
+    ----------
+    pixels : ndarray of uint16, shape (h, w)
+    """
+    height, width = pixels.shape
+    samples = pixels.astype(">u2").view(np.uint8)
+    rows = np.empty((height, 1 + 2 * width), np.uint8)
+    rows[:, 0] = _UP
+    rows[0, 1:] = samples[0]
+    np.subtract(samples[1:], samples[:-1], out=rows[1:, 1:])
+    # 16 bits, grey, and the only methods of compression, filter and interlacing.
+    header = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
+    packed = isal_zlib.compress(rows, _LEVEL)
+    return _SIGNATURE + _chunk(b"IHDR", header) + _chunk(b"IDAT", packed) + _chunk(b"IEND", b"")
+
+
+def _chunk(kind: bytes, content: bytes) -> bytes:
+    checksum = zlib.crc32(content, zlib.crc32(kind))
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", checksum)

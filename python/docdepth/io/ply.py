@@ -106,12 +106,7 @@ def write_vertices(
         "end_header",
     ]
     header = "".join(f"{line}\n" for line in lines).encode(*_TEXT)
-
-    def write(stream: BinaryIO) -> None:
-        stream.write(header)
-        stream.write(rows.view(np.uint8).data)
-
-    write_file(path, write)
+    write_file(path, lambda stream: stream.writelines([header, rows.view(np.uint8).data]))
 
 
 def read_vertices(path: Path) -> tuple[NDArray[Any], list[str]]:
@@ -212,19 +207,15 @@ def _read_rows(stream: BinaryIO, size: int, header: _Header) -> NDArray[Any]:
         if element.name != "vertex":
             _skip(stream, size, element, header.byte_order or "")
         elif header.byte_order:
-            return _read_binary(stream, size, element, header.byte_order)
+            dtype = element.dtype(header.byte_order)
+            whole = (size - stream.tell()) // dtype.itemsize
+            if whole < element.count:  # before memory is taken for rows that are not there
+                raise _Damaged(f"{whole} of {element.count} rows are there")
+            rows = np.fromfile(stream, dtype, element.count)
+            return rows.astype(dtype.newbyteorder("<"), copy=False)
         else:
             return _read_text(stream, size, element)
     raise _Damaged("it has no element 'vertex'")
-
-
-def _read_binary(stream: BinaryIO, size: int, element: _Element, byte_order: str) -> NDArray[Any]:
-    dtype = element.dtype(byte_order)
-    whole = (size - stream.tell()) // dtype.itemsize
-    if whole < element.count:  # before memory is taken for rows that are not there
-        raise _Damaged(f"{whole} of {element.count} rows are there")
-    rows = np.fromfile(stream, dtype, element.count)
-    return rows if byte_order == "<" else rows.astype(dtype.newbyteorder("<"))
 
 
 def _read_text(stream: BinaryIO, size: int, element: _Element) -> NDArray[Any]:

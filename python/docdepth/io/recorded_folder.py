@@ -14,7 +14,7 @@ from contextlib import ExitStack, contextmanager
 from datetime import datetime
 from pathlib import Path
 from threading import RLock
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 from uuid import uuid4
 
 from docdepth.errors import RunError
@@ -81,9 +81,9 @@ class RecordedFolder:
     def __getstate__(self) -> dict[str, object]:
         return {**vars(self), "path": self.path.absolute(), "_records": {}, "_writing": None}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: dict[str, object]) -> None:
         vars(self).update(state, staged=[], _writing=RLock())
-        self._set_paths(state["path"])
+        self._set_paths(self.path)
 
     def _set_paths(self, path: Path) -> None:
         self.path, self.state_dir = path, path / STATE_DIR

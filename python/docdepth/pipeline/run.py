@@ -370,7 +370,7 @@ def _save_done(folder: RunFolder, stages: Sequence[Stage]) -> None:
 def _delete_frames(folder: RunFolder) -> None:
     """Delete the frames of a run that is done, if only its results are to stay."""
     folders = folder.frame_path(0).parent, folder.classes_path(0).parent
-    if keeps_only_results(folder) and any(folder.records(f).names() for f in folders):
+    if folder.manifest.keep == "results" and any(folder.records(f).names() for f in folders):
         with folder.lock("run"):
             delete_frames(folder)
 
@@ -393,13 +393,8 @@ def _without_newly_broken(folder: RunFolder) -> Dataset | None:
 def choose_kept(run: RunFolder, keep: Keep | None) -> None:
     """Note what stays once all is done; as before if it is None."""
     run.manifest.keep = keep or run.manifest.keep
-    if not keeps_only_results(run):
+    if run.manifest.keep != "results":
         run.manifest.frames_deleted = None  # so its frames are missing
-
-
-def keeps_only_results(run: RunFolder) -> bool:
-    """Whether the frames of a run are deleted once all is done."""
-    return run.manifest.keep == "results"
 
 
 def delete_frames(run: RunFolder) -> None:

@@ -28,8 +28,8 @@ from docdepth.io.depth import described_maps, maps_in, read_depth
 from docdepth.io.npy import ArrayError, read_arrays
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
-from docdepth.pipeline.cloud_map import VOXEL, CloudMap, gather_map
 from docdepth.pipeline.cameras import camera_parameters, run_cameras
+from docdepth.pipeline.cloud_map import VOXEL, CloudMap, gather_map
 from docdepth.pipeline.run_inputs import recording_of
 from docdepth.render.layers import LAYERS, TRIANGLES_ONLY
 from docdepth.render.scene import Scene, render_layers
