@@ -83,6 +83,11 @@ class Cell:
         return run
 
 
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file that is whole or not there."""
+    write_atomically(path, lambda stream: stream.write(content))
+
+
 def _write_point_times(sequence: Path) -> None:
     """Tell when each point was measured, as recordings do; without it, moving objects blur."""
     folder = sequence / "point_times"
@@ -91,7 +96,7 @@ def _write_point_times(sequence: Path) -> None:
         if (folder / sweep.name).exists():
             continue
         times = azimuth_relative_time(np.fromfile(sweep, "<f4").reshape(-1, 4)[:, :3]).tobytes()
-        write_atomically(folder / sweep.name, lambda stream, content=times: stream.write(content))
+        write_file(folder / sweep.name, times)
 
 
 Item = TypeVar("Item")
@@ -207,8 +212,7 @@ def each_cell(
             cell = Cell(street, name, frames, args.seed, args.drives, args.beam_width)
             found[cell.name] = measure(cell)
             whole = table(found)
-            text = whole.markdown().encode()
-            write_atomically(out / "table.md", lambda stream, t=text: stream.write(t))
+            write_file(out / "table.md", whole.markdown().encode())
             for line in whole.rows:
                 if line[0] == cell.name:
                     print("  ".join(line), file=sys.stderr, flush=True)

@@ -49,6 +49,7 @@ def run_docdepth(drive: str, frames: str, preset: str, settings: list[str]) -> t
     """Times of the stages of a run, and its sweeps."""
     import docdepth.pipeline.run as pipeline
     from docdepth import cli
+    from docdepth.cli.terminal import app
 
     times: Times = {}
     for name, stage in STAGES.items():
@@ -64,7 +65,7 @@ def run_docdepth(drive: str, frames: str, preset: str, settings: list[str]) -> t
         run = Path(folder) / "run"
         command = ["run", drive, "-o", str(run), "--preset", preset, "--frames", frames, "-q"]
         command += [word for setting in settings for word in ("--set", setting)]
-        cli.app(command, standalone_mode=False)
+        app(command, standalone_mode=False)
         return times, len(list((run / "frames").glob("*.ply")))
 
 

@@ -160,8 +160,8 @@ def iou(recording: EndlessRecording, run: RunFolder, first: int, begin: int = 0)
         moves = true.speed[record.index] > MOVING
         known = moves | ((true.labels[record.index] & 0xFFFF) < FIRST_MOVING_CLASS)
         found = classid >= DYNAMIC
-        both += np.count_nonzero(moves & found & known)
-        either += np.count_nonzero((moves | found) & known)
+        both += int(np.count_nonzero(moves & found & known))
+        either += int(np.count_nonzero((moves | found) & known))
     return round(both / max(either, 1), 4)
 
 

@@ -20,6 +20,7 @@ import time
 import traceback
 import warnings
 from pathlib import Path
+from typing import Any
 
 from results import parser_of, publish
 
@@ -41,8 +42,8 @@ def fuzz(name: str, out: Path, seconds: int) -> None:
     corpus = out / "corpus"
     for folder in (finds, corpus):
         folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as folder:
-        for k, content in enumerate(reader.contents(Path(folder))):
+    with tempfile.TemporaryDirectory() as seeds:
+        for k, content in enumerate(reader.contents(Path(seeds))):
             (corpus / f"seed{k}").write_bytes(content)
     place = Path(tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
     file, known = place / reader.file, set[str]()
@@ -66,7 +67,7 @@ def fuzz(name: str, out: Path, seconds: int) -> None:
             (finds / f"{kind}.input").write_bytes(data)
             (finds / f"{kind}.txt").write_text(told)
 
-    used = int(re.search(r"VmSize:\s+(\d+)", Path("/proc/self/status").read_text())[1]) << 10
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
     options = [f"-max_total_time={seconds}", f"-max_len={LONGEST}", "-print_final_stats=1"]
     options += ["-rss_limit_mb=0", "-timeout=60", f"-artifact_prefix={finds}/", "-verbosity=0"]
@@ -99,7 +100,8 @@ def main() -> None:
     env = os.environ | {
         "PYTHONPATH": os.pathsep.join(filter(None, [str(tests), str(tests / "datasets"), known]))
     }
-    file, figures = given.out / "figures.json", {}
+    file = given.out / "figures.json"
+    figures: dict[str, dict[str, Any]] = {}
     for name in given.readers or READERS:
         out = given.out / name
         command = [sys.executable, __file__, str(out), name, "--seconds", str(given.seconds)]

@@ -165,7 +165,9 @@ def _message(path: Path) -> tuple[SimpleNamespace, SimpleNamespace]:
 
 
 def _read_points(path: Path) -> None:
-    ros_points.reader_of(ros_points.POINT_CLOUD)(_message(path)[0], "a bag")
+    read = ros_points.reader_of(ros_points.POINT_CLOUD)
+    assert read is not None
+    read(_message(path)[0], "a bag")
 
 
 def _read_image(path: Path) -> None:
@@ -284,7 +286,7 @@ READERS = {
         _PCD.format(pad=1, data="ascii") + "1 2 3 0.5 0\n4 5 6 0.25 0\n",
         _PCD.format(pad=0, data="binary").encode() + bytes(32),
     ]),
-    "bin": Reader("a.bin", [lambda p: kitti_files.read_sweep(p, 3), _cloud],
+    "bin": Reader("a.bin", [lambda p: kitti_files.read_sweep(p, "sweep 3"), _cloud],
                   [np.ones((6, 4), "<f4").tobytes()]),
     "npy": Reader("a.npy", [read_poses, read_depth, lambda p: read_classes(p, 6, 3), _cloud], [
         _array(a) for a in (_CLASSES, _CLASSES > 99, _POSES, np.ones((6, 4), "<f4"))

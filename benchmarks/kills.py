@@ -35,7 +35,7 @@ AGAIN = "inserted into the map"
 def count_steps(log: Path) -> None:
     """Have this process add a line to a file for each step that it begins."""
     from docdepth.dynamics import sweep_classifier
-    from docdepth.odometry import odometry, registration
+    from docdepth.odometry import registration, sweeps
     from docdepth.pipeline import classify, render, sweep_store
 
     descriptor = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
@@ -52,7 +52,7 @@ def count_steps(log: Path) -> None:
 
     counted(registration.Registration, "align", "registered")
     counted(registration.Registration, "insert", AGAIN)
-    counted(odometry.DeskewedSweeps, "deskewed", "deskewed")
+    counted(sweeps.DeskewedSweeps, "deskewed", "deskewed")
     counted(classify, "label_chunk", "ground of a chunk")
     counted(sweep_classifier.SweepClassifier, "_classify", "voted")
     counted(sweep_classifier.SweepClassifier, "track", "tracked")

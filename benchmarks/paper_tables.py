@@ -30,7 +30,7 @@ import two_lidars
 from results import parser_of, publish, script
 
 from docdepth import run
-from docdepth.config import parameters
+from docdepth.config import Preset, parameters
 from docdepth.datasets import open_dataset
 from docdepth.errors import DocDepthError
 from docdepth.evaluation.pixels import project
@@ -66,12 +66,15 @@ def stand_ins(args: argparse.Namespace, frames: int) -> Iterator[Path]:
         yield folder / "sequences" / "00"
 
 
-def done(drive: Path, out: Path, preset: str, changes: dict[str, Any] | None = None) -> RunFolder:
+def done(
+    drive: Path, out: Path, preset: Preset, changes: dict[str, Any] | None = None
+) -> RunFolder:
     """The run of a drive; made if it is missing, and continued if it was interrupted."""
-    return run(drive, out, parameters(preset, changes))
+    run(drive, out, parameters(preset, changes))
+    return RunFolder.open(out)
 
 
-def labelled(drive: Path, out: Path, preset: str, frames: str) -> RunFolder:
+def labelled(drive: Path, out: Path, preset: Preset, frames: str) -> RunFolder:
     """A run of some frames by docdepth's own odometry, up to its labels."""
     folder = RunFolder.create(out, RunInputs(recording=drive, frames=frames), parameters(preset))
     run_odometry(folder, open_dataset(drive, frames=frames))
@@ -143,7 +146,7 @@ def completion(args: argparse.Namespace) -> Table:
                 if not (truth / INSIDE / camera).is_dir():
                     continue
                 for mode in ("valid", "kitti"):
-                    found = evaluate_depth(made.path, truth, mode, 80.0, camera)  # type: ignore[arg-type]
+                    found = evaluate_depth(made.path, truth, mode, 80.0, camera)
                     k = found.kitti
                     errors = (k.mae, k.rmse, k.imae, k.irmse, k.abs_rel, k.delta1)
                     cells = [number(x, 3) for x in (*errors, found.point_to_point)]
@@ -190,7 +193,7 @@ def cost(args: argparse.Namespace) -> Table:
 def densities(made: RunFolder) -> tuple[float, float, int]:
     """Share of pixels with depth, with a return of the nearest sweep, and the number of maps."""
     recording = open_dataset(made.inputs.recording)
-    camera = next(name for name, entry in made.cameras.items() if "virtual" not in entry)
+    camera = next(name for name, entry in made.cameras.items() if entry.virtual is None)
     maps, stream = maps_in(made.path / "depth" / made.cameras[camera].folder), None
     stream = recording.cameras[camera]
     trajectory, dense, sparse = made.trajectory(), [], []
@@ -212,7 +215,7 @@ def far(args: argparse.Namespace) -> Table:
         name = drive.parents[1].name if not args.data else drive.name
         made = done(drive, args.out / "far" / name, "default", FAR)
         for camera, entry in made.cameras.items():
-            maps = maps_in(made.path / "depth" / entry["folder"])
+            maps = maps_in(made.path / "depth" / entry.folder)
             depths = [read_depth(path) for path in maps.values()]
             values = np.concatenate([d[np.isfinite(d)] for d in depths])
             shares = np.histogram(values, [0, *(b for _, b in bins)])[0] / sum(

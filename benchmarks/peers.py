@@ -158,14 +158,16 @@ def evaluate(name: str, drive: Drive, dynamic: Callable[[int], np.ndarray], seco
 
 def table(rows: list[Row]) -> Table:
     """One row per method."""
-    header = ("method", "SA %", "DA %", "F1", "precision", "IoU")
-    header += ("5 cm: SA %", "DA %", "HA %", "0.2 m: PR %", "RR %", "ms per sweep")
+    header = (
+        *("method", "SA %", "DA %", "F1", "precision", "IoU"),
+        *("5 cm: SA %", "DA %", "HA %", "0.2 m: PR %", "RR %", "ms per sweep"),
+    )
     digits = (2, 2, 4, 3, 3, 2, 2, 2, 2, 2, 0)
     lines = []
     for row in rows:
         own, near, voxels = row.labels.counts, row.nearest, row.voxels
-        figures = (own.sa, own.da, own.f1, own.precision, own.iou, near.sa, near.da, 100 * near.f1)
-        figures += (voxels.sa, voxels.da, 1e3 * row.seconds)
+        figures = [own.sa, own.da, own.f1, own.precision, own.iou, near.sa, near.da, 100 * near.f1]
+        figures += [voxels.sa, voxels.da, 1e3 * row.seconds]
         lines.append((row.name, *map(number, figures, digits)))
     result = rows[0].labels
     title = f"{result.protocol}; poses: {result.poses}; {result.sweeps} sweeps"

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from cells import Cell, ExactDrive, cell_parser, each_cell
+from cells import Cell, ExactDrive, cell_parser, each_cell, write_file
 from ip_basic import ip_basic
 from numpy.typing import NDArray
 from results import script
@@ -41,7 +41,6 @@ from docdepth.evaluation import depth as depth_evaluation
 from docdepth.evaluation.pixels import project
 from docdepth.evaluation.tables import number
 from docdepth.geometry.se3 import inverse
-from docdepth.io.atomic import write_atomically
 from docdepth.io.run_folder import stage_key
 from docdepth.render.scene import Scene, render_depth
 from docdepth.tuning import Objective, Trial, read_trials, tune
@@ -104,7 +103,7 @@ def depth_rows(
             methods[name] = _renderer(exact, scene, threads)
         for name, metrics in _compare(exact, methods, images).items():
             content = json.dumps({"key": keys[name], "metrics": metrics}, indent=1).encode()
-            write_atomically(paths[name], lambda stream, c=content: stream.write(c))
+            write_file(paths[name], content)
             rows[name] = _row(metrics, DEPTH_COLUMNS)
     return {name: rows[name] for name in settings}
 

@@ -49,30 +49,31 @@ ROW = np.dtype(
 SAMPLE = np.dtype([("point", "f4", (3,)), ("normal", "f4", (3,)), ("time", "f4")])
 BORDER = np.dtype([("point", "f4", (3,)), ("time", "f4")])
 """Rows of the core."""
+Array = NDArray[np.float32]
 
 
-def side(u: NDArray[np.float32], v: NDArray[np.float32]) -> NDArray[np.float32]:
+def side(u: Array, v: Array) -> Array:
     """Samples of a rectangle between two vectors from a corner, (n, 3)."""
     count = [round(float(np.linalg.norm(w)) / SPACING) + 1 for w in (u, v)]
     a, b = np.meshgrid(*(np.linspace(0, 1, n, dtype=np.float32) for n in count))
     return a.reshape(-1, 1) * u + b.reshape(-1, 1) * v
 
 
-def car() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def car() -> tuple[Array, Array]:
     """Samples and normals of a rear and a side."""
     length, width, height = np.diag(CAR).astype(np.float32)
     rear, right = side(width, height), side(length, height)
-    normals = np.repeat(np.float32([[-1, 0, 0], [0, -1, 0]]), [len(rear), len(right)], 0)
+    normals = np.repeat(np.array([[-1, 0, 0], [0, -1, 0]], np.float32), [len(rear), len(right)], 0)
     return np.concatenate([rear, right]), normals
 
 
-def fence() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def fence() -> tuple[Array, Array]:
     """Samples and normals of a piece."""
-    samples = side(np.float32([FENCE[0], 0, 0]), np.float32([0, 0, FENCE[2]]))
-    return samples, np.repeat(np.float32([[0, -1, 0]]), len(samples), 0)
+    samples = side(np.array([FENCE[0], 0, 0], np.float32), np.array([0, 0, FENCE[2]], np.float32))
+    return samples, np.repeat(np.array([[0, -1, 0]], np.float32), len(samples), 0)
 
 
-def cars_at(objects: int, sweep: int) -> NDArray[np.float32]:
+def cars_at(objects: int, sweep: int) -> Array:
     """The corners of all cars in a sweep, (n, 3)."""
     rows = max(int(np.sqrt(objects) / 2), 2)
     lane, place = np.arange(objects) % rows, np.arange(objects) // rows
@@ -81,7 +82,7 @@ def cars_at(objects: int, sweep: int) -> NDArray[np.float32]:
     return np.stack([x, 4.0 * lane, np.full(objects, 0.2)], 1).astype(np.float32)
 
 
-def fences_at(objects: int, sweep: int) -> NDArray[np.float32]:
+def fences_at(objects: int, sweep: int) -> Array:
     """The corners of all pieces in a sweep, (n, 3); gaps go along with the ego."""
     rows = max(int(np.sqrt(objects) / 2), 2)
     row, place = np.arange(objects) % rows, np.arange(objects) // rows
@@ -89,7 +90,7 @@ def fences_at(objects: int, sweep: int) -> NDArray[np.float32]:
     return np.stack([x, FENCES_APART * row, np.full(objects, 0.2)], 1).astype(np.float32)
 
 
-SCENES: dict[str, tuple[Callable[[], tuple], Callable[[int, int], NDArray[np.float32]]]] = {
+SCENES: dict[str, tuple[Callable[[], tuple[Array, Array]], Callable[[int, int], Array]]] = {
     "cars": (car, cars_at),
     "fences": (fence, fences_at),
 }
@@ -105,7 +106,7 @@ def detections_of(scene: str, objects: int, sweep: int) -> _core.Detections:
     rows["dynamic_points"], rows["samples"] = POINTS, len(points)
     rows["first_occupied"] = rows["last_occupied"] = sweep
     rows["stands_since"] = rows["stands_until"] = sweep
-    ego = np.float32([EGO_SPEED * PERIOD * sweep, -5, 1.7])
+    ego = np.array([EGO_SPEED * PERIOD * sweep, -5, 1.7], np.float32)
     rows["middle"] = places.mean(1) - ego
     rows["area"] = rows["dynamic_area"] = rows["free_area"] = POINTS * 400.0
     rows["ground_deviation"] = 0.05

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from results import parser_of, publish, script
 
 from docdepth import run
-from docdepth.config import parameters
+from docdepth.config import Preset, parameters
 from docdepth.evaluation.depth_metrics import PixelSums, RegionErrors
 from docdepth.evaluation.held_out import HeldOutResult, HeldOutView, evaluate_held_out
 from docdepth.evaluation.left_out import LeftOut
@@ -129,7 +129,7 @@ def with_second(made: Path, rig: Path, evaluated: Path) -> Path:
 def joined(own: LidarFrame, second: LidarFrame) -> LidarFrame:
     """The points of the first LiDAR as its own run has them, and those of the second."""
     count, more = len(own.points), len(second.points)
-    both: dict[str, NDArray[Any]] = {}
+    both: dict[str, Any] = {}
     for name in ("points", "index", "classid", "time_offset"):
         both[name] = np.concatenate([getattr(own, name), getattr(second, name)])
     for name in ("instance", "votes_static", "votes_dynamic"):
@@ -201,7 +201,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def evaluate(
-    sequences: tuple[Path, Path], out: Path, preset: str, every: int, drive: Drive
+    sequences: tuple[Path, Path], out: Path, preset: Preset, every: int, drive: Drive
 ) -> list[tuple[str, ...]]:
     """The rows of one scene and preset."""
     runs = []
@@ -209,7 +209,7 @@ def evaluate(
         if not (out / kind / "depth").is_dir():
             run(sequence, out / kind, parameters(preset), camera="image_2")
         runs.append(out / kind)
-    evaluated, left_out = with_second(*runs, out / "evaluated"), LeftOut(lidar=1)
+    evaluated, left_out = with_second(runs[0], runs[1], out / "evaluated"), LeftOut(lidar=1)
     best = ExactDepthErrors(drive, RunFolder.open(evaluated).calibration()[1])
     own = evaluate_held_out(evaluated, every, left_out=left_out, look=best.look)
     rig = evaluate_held_out(runs[1], every, left_out=left_out)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from docdepth.synthetic import roadside
@@ -38,15 +40,15 @@ def _street(name: str, seed: int) -> tuple[Street, Path]:
     hills = ((1.2, 170.0, rng.uniform(0, 6.3)),)
     road = urban_road(start, end, bend, hills, kerb, walk, [], yard=Ground.GRASS)
     street = Street(road, rng)
-    kinds = (_mesh_fence, _pickets, _railing, things.guard_rail, things.hedge, _scaffold)
+    hedge = partial(things.hedge, rng)
+    kinds = (_mesh_fence, _pickets, _railing, things.guard_rail, hedge, _scaffold)
     for side in (-1.0, 1.0):
         for number, s in enumerate(np.arange(start + 6, end - 6, _SECTION)):
             if number % len(kinds) == 0:
                 order = rng.permutation(len(kinds))
             kind = kinds[order[number % len(kinds)]]
             for at in np.arange(s, s + _SECTION - 2, 4.0):
-                panel = things.hedge(rng, 4.0) if kind is things.hedge else kind(4.0)
-                street.put(panel, at, side * (walk + 0.3), 0.0 if side < 0 else np.pi)
+                street.put(kind(4.0), at, side * (walk + 0.3), 0.0 if side < 0 else np.pi)
         for s in np.arange(start + 10, end - 10, 30.0):
             house = things.cottage(rng, 12.0, 8.0, float(rng.uniform(3.5, 6.0)))
             street.put(house, s + rng.uniform(-4, 4), side * (walk + 10.0), above=-0.1)

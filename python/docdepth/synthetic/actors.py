@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +19,16 @@ _PEOPLE = (253, 254, 255)
 
 Swing = Callable[[Floats, Floats, Floats], Floats]
 """Poses (n, 4, 4) in the actor's frame, from times [s], distances [m] and speeds [m/s], (n,)."""
+
+
+class SpeedProfile(Protocol):
+    """How far something has travelled, and how fast it is, at times [s]."""
+
+    def distance(self, times: ArrayLike) -> Floats:
+        """Distance travelled [m]."""
+
+    def at(self, times: ArrayLike) -> Floats:
+        """Speed [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +81,7 @@ class Path:
     ----------
     road : Road
     points : array_like, shape (k, 2)
-    pace : Pace
-        Or what has its ``distance`` and ``at``.
+    pace : SpeedProfile
     start : float
         Position along the path at which the distance of ``pace`` is 0 [m].
     length, width : float
@@ -81,7 +91,7 @@ class Path:
 
     road: Road
     points: ArrayLike
-    pace: Pace
+    pace: SpeedProfile
     start: float = 0.0
     length: float = 2.6
     width: float = 1.5

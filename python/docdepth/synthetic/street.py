@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from docdepth.synthetic import road_users
-from docdepth.synthetic.actors import Actor, Pace, Part, Path
+from docdepth.synthetic.actors import Actor, Pace, Part, Path, SpeedProfile
 from docdepth.synthetic.mesh import Mesh, Paint, merged
 from docdepth.synthetic.road import Floats, Road
 
@@ -83,7 +83,7 @@ class Street:
         self,
         kind: str,
         points: ArrayLike,
-        pace: Pace,
+        pace: SpeedProfile,
         start: float = 0.0,
         name: str = "",
         parts: Sequence[Part] = (),
