@@ -21,14 +21,14 @@ SOURCES = "cpp/docdepth", "python/docdepth"
 FAULTS = {
     "tests/dynamics/test_tracking.py tests/dynamics/test_track_paths.py": [
         # matching and tracks
-        "match.shift, found) {{< ~ >}} options_.min_kept_share",
+        "match.shift, kept) {{< ~ >}} options_.min_kept_share",
         "if (share {{< ~ >}} options_.min_share)",
         "{{< ~ >}}= kGate * kGate",
         "- state.time) {{> ~ <}} gap + kTimeTolerance",
         "place.where.width() {{> ~ <}}= kMinEgoPath",
         "object.area {{> ~ <}} kFragmentShare",
         # paths
-        "facing.dot(model.normals[j]) {{< ~ >}} 0",
+        "facing.dot(model.normals[index]) {{< ~ >}} 0",
         "filtered[k], predicted[k{{ + 1 ~ }}])",
         "t <= first.time ? {{first : last ~ last : first}}",
         "distance(k) < distance(k - 1) ? {{k : k - 1 ~ k - 1 : k}}",
@@ -73,7 +73,7 @@ FAULTS = {
         'if byte_order {{== ~ !=}} "<" else',
     ],
     "tests/datasets/test_point_times.py": [
-        "{{- ~ }}round(_SHARE[instant",
+        "shift = {{- ~ }}round(SHARE_BEFORE[instant",
         "np.abs(late) {{<= ~ >=}} LONGEST",
     ],
 }
