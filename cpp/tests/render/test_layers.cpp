@@ -8,6 +8,8 @@ using namespace docdepth;
 
 namespace {
 
+using Matrix = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
+
 const Camera kCamera{100, 100, 10, 10, 21, 21};
 
 PatchMesh square(float z, std::uint8_t classid) {
@@ -59,7 +61,6 @@ TEST_CASE("layers of triangles tell which mesh is seen, and how many agree") {
 }
 
 TEST_CASE("layers of splats tell which point is seen, and how many agree") {
-  using Matrix = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
   Matrix points(4, 3);
   points << 0, 0, 10, 0, 0, 10.1f, 0, 0, 20, 0.9f, 0, 10;
   const std::uint16_t classes[] = {10, 60, 251, 99};
