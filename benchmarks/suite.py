@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from results import script
 
 from docdepth._core import __version__
-from docdepth.config import Parameters, parameters, parse_settings
+from docdepth.config import Parameters, Preset, parameters, parse_settings
 from docdepth.evaluation import DepthEvaluation, Table, label_counts, moving
 from docdepth.evaluation import depth as depth_evaluation
 from docdepth.evaluation.pixels import project
@@ -138,7 +138,8 @@ def _completion(exact: ExactDrive) -> Draw:
 
 def _parameters(trial: Trial) -> Parameters:
     settings = dict(trial.settings)
-    return parameters(settings.pop("preset", "default"), settings)
+    preset: Preset = "paper" if settings.pop("preset", "default") == "paper" else "default"
+    return parameters(preset, settings)
 
 
 def _stored(path: Path, key: str) -> Row | None:
@@ -155,7 +156,7 @@ class Column(NamedTuple):
     better: int = 1  # 1: larger is better, -1: smaller is better
 
 
-def _row(metrics: dict[str, Any], columns: list[Column]) -> Row:
+def _row(metrics: Mapping[str, Any], columns: list[Column]) -> Row:
     """Metrics of a table; no points at all are none."""
     row = {column.key: metric_of(metrics, column.key) for column in columns}
     return {key: v if v or not key.endswith(".points") else math.nan for key, v in row.items()}
