@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 import docdepth
+import docdepth.geometry.points as points_module
 from docdepth.diagnostics.error_sources import find_error_sources
+from docdepth.errors import NOTE
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.io.tracks import read_tracks
 
@@ -85,7 +87,7 @@ WRONG: dict[str, tuple[Callable[[list[np.ndarray]], Any], str]] = {
     ),
     "names of a LiDAR": (lambda s: docdepth.LidarStream("l", TIMES, ["a"]), "names"),
     "sweep of four columns": (lambda s: docdepth.Sweep(np.c_[s[0], s[0]], "0", 0), "float32"),
-    "sweep of doubles": (lambda s: docdepth.Sweep(s[0].astype(float), "0", 0), "float32"),
+    "sweep of integers": (lambda s: docdepth.Sweep(s[0].astype(int), "0", 0), "float32"),
     "times of other points": (
         lambda s: docdepth.Sweep(s[0], "0", 0, relative_time=np.zeros(3)),
         "one a point",
@@ -166,6 +168,65 @@ def test_other_forms_of_the_same_values_are_understood(sweeps, labels) -> None:
     found = docdepth.classify_drive(strided, same)
     for one, other in zip(found, labels, strict=True):
         assert (one.classid == other.classid).all()
+
+
+class OfAnotherLibrary:
+    """An array that only DLPack reaches."""
+
+    def __init__(self, array: np.ndarray) -> None:
+        self.array = array
+
+    def __dlpack__(self, **options: Any) -> Any:
+        return self.array.__dlpack__(**options)
+
+    def __dlpack_device__(self) -> Any:
+        return self.array.__dlpack_device__()
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        lambda points: points.astype(np.float64),
+        lambda points: np.c_[points, np.ones(len(points), np.float32)],
+        OfAnotherLibrary,
+    ],
+    ids=["doubles", "four columns", "DLPack"],
+)
+def test_points_are_taken_as_people_have_them(form, sweeps, labels, caplog) -> None:
+    points_module._told.clear()
+    caplog.set_level(NOTE)
+    found = docdepth.classify_drive([form(points) for points in sweeps], TRAJECTORY)
+    for one, other in zip(found, labels, strict=True):
+        assert (one.classid == other.classid).all()
+    said = [record for record in caplog.records if "are taken as float32 (N, 3)" in record.message]
+    assert len(said) == (form is not OfAnotherLibrary)
+
+
+def test_classes_are_taken_as_people_have_them(sweeps, labels) -> None:
+    expected = docdepth.render_depth(docdepth.Scene(sweeps, TRAJECTORY, labels), STREAM, 1)
+    for form in (np.uint8, np.int64):
+        classes = [of.classid.astype(form) for of in labels]
+        scene = docdepth.Scene(sweeps, TRAJECTORY, classes)
+        depth = docdepth.render_depth(scene, STREAM, 1)
+        assert np.array_equal(depth, expected, equal_nan=True)
+    still = docdepth.Scene(sweeps, TRAJECTORY, [np.zeros(len(s), bool) for s in sweeps])
+    classid = docdepth.render_layers(still, STREAM, "class", 1)["class"]
+    assert set(np.unique(classid)) == {50, 255}
+    wrong = docdepth.Scene(sweeps, TRAJECTORY, [np.full(len(s), -1) for s in sweeps])
+    with pytest.raises(docdepth.DocDepthError, match="sweep 0: classes must be uint16, got int64"):
+        docdepth.render_depth(wrong, STREAM, 1)
+
+
+def test_poses_may_be_a_trajectory(drive: Path) -> None:
+    dataset = docdepth.open_dataset(drive)
+    assert dataset.poses is not None
+    given = docdepth.Trajectory(dataset.times, dataset.poses)
+    found = docdepth.register_drive(dataset, poses=given, poses_as_given=True).trajectory
+    same = docdepth.register_drive(dataset, poses=dataset.poses, poses_as_given=True).trajectory
+    assert (found.poses == same.poses).all()
+    short = docdepth.Trajectory(dataset.times[:2], dataset.poses[:2])
+    with pytest.raises(docdepth.DocDepthError, match="3 times lie outside the trajectory"):
+        docdepth.register_drive(dataset, poses=short)
 
 
 def test_the_callers_arrays_are_neither_kept_nor_changed(sweeps, labels) -> None:

@@ -265,7 +265,7 @@ RECORDINGS = [
 ]  # fmt: skip
 
 OPTIONS = [
-    ("no output", ["run", "d"], None, DocDepthError, "-o"),
+    ("nothing to run", ["run"], None, DocDepthError, "RECORDING RUN"),
     ("a verb", ["rnu", "d"], None, USAGE, "rnu run"),
     ("an option", [*NEW, "--presett", "paper"], None, USAGE, "--presett --preset"),
     ("a preset", [*NEW, "--preset", "best"], None, USAGE, "best default paper"),

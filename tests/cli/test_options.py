@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import yaml
@@ -188,3 +189,19 @@ def test_waiting_threads_sleep(wanted: str | None) -> None:
     )
     told = in_new_process(script, "OMP_WAIT_POLICY", wanted)
     assert told == [wanted or "PASSIVE", "False"]
+
+
+def test_a_run_without_a_place_is_named_after_its_recording(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    named = tmp_path / f"{drive.name}_run"
+    first = cli("run", drive, "--camera", "none", "--frames", "0:4")
+    assert first.exit_code == 0, first.output
+    assert [path.name for path in tmp_path.iterdir()] == [named.name]
+    before = (named / "traj_odometry.ply").stat().st_mtime_ns
+    for again in (("run", drive, "--camera", "none", "--frames", "0:4"), ("run", named)):
+        assert cli(*again).exit_code == 0
+        assert (named / "traj_odometry.ply").stat().st_mtime_ns == before
+    nothing = cli("run")
+    assert "no recording: docdepth run RECORDING" in str(nothing.exception)

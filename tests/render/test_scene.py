@@ -186,6 +186,6 @@ def test_what_a_scene_refuses():
     for _ in range(2):  # and is not kept
         with pytest.raises(InputError, match=r"sweep 1: points \(3, 3\) .*\(2,\)"):
             render_depth(wrong, camera, 0)
-    wrong = Scene([points.astype(float)] * 2, straight(2), [classes] * 2)
+    wrong = Scene([points.astype(int)] * 2, straight(2), [classes] * 2)
     with pytest.raises(InputError, match="sweep 0: points must be float32"):
         render_depth(wrong, camera, 0)

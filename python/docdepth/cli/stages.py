@@ -55,7 +55,12 @@ def run(
     ] = None,
     output: Annotated[
         Path | None,
-        option("Run folder: created, or continued if it is there.", "RUN", "-o --output"),
+        option(
+            "Run folder: created, or continued if it is there; RECORDING_run in this folder if "
+            "absent.",
+            "RUN",
+            "-o --output",
+        ),
     ] = None,
     every: Annotated[
         Path | None,
@@ -103,7 +108,7 @@ def run(
     """
     how = Execution(**execution)
     show = show_states if how.dry_run else show_summary
-    if output is None:
+    if output is None and (recording is None or (recording / "run.yaml").is_file()) and not every:
         chosen = [every, config, preset, settings, format, scale, layers, how.memory]
         is_alone = not (inputs or how.force or any(one is not None for one in chosen))
         return show(_continue(recording, how, is_alone), as_json)
@@ -117,6 +122,9 @@ def run(
         inputs = file.inputs.model_dump(exclude_none=True) | inputs
     changed = file.settings | changes(settings, format, scale, layers)
     values = parameters(preset or file.preset, changed)  # type: ignore[arg-type]
+    if output is None:
+        named = Path(str(inputs["recording"])).resolve()
+        output = Path(f"{named.stem if named.is_file() else named.name}_run")
     if every is not None:
         if recording is not None:
             raise ConfigError("--all names the recordings: leave out RECORDING")
@@ -129,7 +137,7 @@ def run(
 def _continue(run: Path | None, how: Execution, is_alone: bool) -> RunFolder:
     """Bring a run up to date by its run.yaml."""
     if run is None or not (run / "run.yaml").is_file():
-        raise ConfigError("no run folder: docdepth run RECORDING -o RUN, or docdepth run RUN")
+        raise ConfigError("no recording: docdepth run RECORDING, or docdepth run RUN")
     if not is_alone:
         raise ConfigError(
             "a run alone goes on with what run.yaml holds: give no other option, or RECORDING and "

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import logging
+from threading import Lock
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import InputError
+from docdepth.errors import NOTE, InputError
+
+log = logging.getLogger(__name__)
 
 GROUND, STATIC, DYNAMIC = 0, 50, 100
 """Values of ``classid`` as ``frames/*.ply`` stores it; below 50 is ground, from 100 on dynamic."""
@@ -52,21 +56,78 @@ def spread(values: NDArray[Any], rows: NDArray[Any], count: int, fill: Any = 0) 
     return every
 
 
-def check_points(points: NDArray[Any]) -> NDArray[np.float32]:
-    """Points as a contiguous array.
+def check_points(points: Any) -> NDArray[np.float32]:
+    """Points as a contiguous array of float32, shape (N, 3).
+
+    Other floats are converted, and a fourth column, such as KITTI's intensity, is left out; this is
+    logged once.
+
+    Parameters
+    ----------
+    points : ndarray of float, shape (N, 3) or (N, 4), or an array of another library
+        Metres.
 
     Raises
     ------
     InputError
-        They are not float32 of shape (N, 3).
+        They are none of these.
     """
-    points = np.asarray(points)
-    if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float32:
+    array = as_array(points)
+    if array.ndim != 2 or array.shape[1] not in (3, 4) or array.dtype.kind != "f":
         raise InputError(
-            f"points must be float32 of shape (N, 3), got {points.dtype} {points.shape}; "
+            f"points must be float32 of shape (N, 3), got {array.dtype} {array.shape}; "
             "convert them once where they are read: np.asarray(points, np.float32)[:, :3]"
         )
-    return np.ascontiguousarray(points)
+    if array.shape[1] != 3 or array.dtype != np.float32:
+        _tell_conversion(str(array.dtype), array.shape[1])
+    return np.ascontiguousarray(array[:, :3], np.float32)
+
+
+_told: set[tuple[str, int]] = set()  # of a drive's thousands of sweeps it is said once
+_telling = Lock()  # sweeps are read by several threads
+
+
+def _tell_conversion(dtype: str, columns: int) -> None:
+    with _telling:
+        if (dtype, columns) in _told:
+            return
+        _told.add((dtype, columns))
+    text = "points of %s (N, %d) are taken as float32 (N, 3): metres x, y, z"
+    log.log(NOTE, text, dtype, columns)
+
+
+def as_array(values: Any) -> NDArray[Any]:
+    """An array of NumPy, or of a library that has ``__array__`` or DLPack.
+
+    Raises
+    ------
+    InputError
+        It is on another device, or none.
+    """
+    try:
+        if hasattr(values, "__dlpack__") and not hasattr(values, "__array__"):
+            return np.from_dlpack(values)
+        return np.asarray(values)
+    except Exception as error:  # each library has errors of its own
+        raise InputError(f"{type(values).__name__} cannot be read as an array: {error}") from None
+
+
+def check_classes(classid: Any) -> NDArray[np.uint16]:
+    """Classes as uint16; of bool, true is what moves.
+
+    Raises
+    ------
+    InputError
+        They are no integers from 0 to 65535.
+    """
+    array = as_array(classid)
+    if array.dtype == np.bool_:
+        return np.where(array, np.uint16(DYNAMIC), np.uint16(STATIC))
+    if array.dtype.kind not in "iu" or (
+        array.size and (array.min() < 0 or array.max() > np.iinfo(np.uint16).max)
+    ):
+        raise InputError(f"classes must be uint16, got {array.dtype}")
+    return array.astype(np.uint16, copy=False)
 
 
 def check_sweep(

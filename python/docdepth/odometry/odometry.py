@@ -78,7 +78,7 @@ class Odometry(ShortRepr):
 def register_drive(
     dataset: Dataset,
     parameters: Parameters | None = None,
-    poses: ArrayLike | None = None,
+    poses: Trajectory | ArrayLike | None = None,
     progress: Progress | None = None,
     checkpoint: Path | None = None,
     threads: int = 0,
@@ -91,8 +91,9 @@ def register_drive(
     dataset : Dataset
     parameters : Parameters, optional
         ``parameters.odometry`` is used.
-    poses : array_like of float64, shape (n, 4, 4), optional
-        ``T_world_lidar`` of each sweep from another SLAM. They are kept if sweeps that are ten
+    poses : Trajectory, or array_like of float64, shape (n, 4, 4), optional
+        ``T_world_lidar`` of each sweep from another SLAM; a trajectory of other times is
+        interpolated. They are kept if sweeps that are ten
         apart fit each other to centimetres, and refined by registration if not.
     progress : callable, optional
         Called with the step (``register``, ``loop closure``), the sweeps or places done and their
@@ -124,6 +125,8 @@ def register_drive(
             "dataset must be one from docdepth.open_dataset, or have the members of "
             f"docdepth.Dataset; it is {type(dataset).__name__}"
         )
+    if isinstance(poses, Trajectory):
+        poses = poses.interpolate(dataset.times)
     if poses is not None:
         checked = check_given_poses(dataset, poses)
         findings = [*find_no_motion(dataset, checked, settings), *find_camera_poses(checked)]

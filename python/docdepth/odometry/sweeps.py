@@ -34,7 +34,7 @@ def lidar_frame(sweep: AnySweep, period: np.float32) -> LidarFrame:
 
     Parameters
     ----------
-    sweep : LidarFrame, Sweep, or ndarray of float32, shape (N, 3)
+    sweep : LidarFrame, Sweep, or an array that :func:`check_points` takes
         An array was measured from its origin. A frame is returned as it is.
     period : float32
         Seconds of a sweep (:func:`~docdepth.datasets.point_times.sweep_seconds`).
@@ -42,11 +42,12 @@ def lidar_frame(sweep: AnySweep, period: np.float32) -> LidarFrame:
     Raises
     ------
     InputError
-        It is none of these, or points are not float32 of shape (N, 3).
+        It is none of these.
     """
     if isinstance(sweep, LidarFrame):
         return sweep
-    points = sweep if isinstance(sweep, np.ndarray) else getattr(sweep, "points", None)
+    is_array = hasattr(sweep, "__array__") or hasattr(sweep, "__dlpack__")
+    points = sweep if is_array else getattr(sweep, "points", None)
     if points is None:
         raise InputError(
             "a sweep is a docdepth.Sweep or a float32 array of shape (N, 3), "

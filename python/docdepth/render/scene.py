@@ -17,7 +17,7 @@ from docdepth.datasets.base import CameraStream
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.errors import InputError
 from docdepth.geometry.camera import View
-from docdepth.geometry.points import usable_points
+from docdepth.geometry.points import check_classes, usable_points
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry.sweeps import AnySweep, lidar_frame
@@ -131,10 +131,10 @@ class Scene:
     def _prepare(self, index: int, whole: bool) -> RenderSweep:
         with self._reading:  # datasets need not be safe to read from several threads
             sweep, classes = self.sweeps[index], self.labels[index]
-        classid = np.asarray(classes.classid if hasattr(classes, "classid") else classes)
         try:
             frame = lidar_frame(sweep, self._period)
-            if classid.shape != frame.points.shape[:1] or classid.dtype != np.uint16:
+            classid = check_classes(getattr(classes, "classid", classes))
+            if classid.shape != frame.points.shape[:1]:
                 raise InputError(
                     f"points {frame.points.shape} need classes uint16 of shape (N,), one for each "
                     f"point; got {classid.dtype} {classid.shape}"
@@ -193,7 +193,7 @@ def render_depth(
 def render_layers(
     scene: Scene,
     camera: CameraStream,
-    names: Sequence[str],
+    names: str | Sequence[str],
     index: int | None = None,
     time: int | None = None,
     depth: NDArray[np.float32] | None = None,
@@ -205,7 +205,7 @@ def render_layers(
     ----------
     scene, camera, index, time, threads
         The arguments that :func:`render_depth` was given.
-    names : sequence of str
+    names : str or sequence of str
         Of :data:`docdepth.render.layers.LAYERS`.
     depth : ndarray of float32, shape (height, width), optional
         The map that :func:`render_depth` returned; rendered again if absent.
@@ -220,6 +220,7 @@ def render_layers(
     InputError
         As :func:`render_depth`; a name is unknown, or ``depth`` has another size.
     """
+    names = (names,) if isinstance(names, str) else names
     view = _view(scene, camera, index, time)
     check_layers(names, scene.parameters.render)
     drawn = scene.render_list(view, threads)
