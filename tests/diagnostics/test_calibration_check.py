@@ -15,7 +15,7 @@ from docdepth.config import parameters
 from docdepth.datasets import CameraStream
 from docdepth.diagnostics import calibration
 from docdepth.diagnostics.calibration import RunEdges, compare, edges_of_images, judge
-from docdepth.diagnostics.edge_fit import edges_of_map, pixels_of_tracks
+from docdepth.diagnostics.depth_edges import edges_of_map, pixels_of_tracks
 from docdepth.errors import CalibrationError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import rotation_exp
@@ -60,7 +60,7 @@ def made(turn_deg=(0, 0, 0), shift=(0, 0, 0), unrelated: bool = False) -> RunEdg
         edges.append(edges_of_map(depth))
     names = [f"{k:06d}" for k in range(IMAGES)]
     stream = CameraStream("front", CAMERA, np.eye(4), np.arange(IMAGES), names)
-    return RunEdges(Path("run"), stream, names, images, edges)
+    return RunEdges(Path("run"), stream, names, images, edges, [np.zeros(6)] * IMAGES)
 
 
 def test_a_right_calibration_agrees() -> None:
@@ -85,9 +85,9 @@ def test_a_right_calibration_agrees() -> None:
 def test_a_wrong_one_is_measured(turn_deg, shift, words) -> None:
     found = compare(made(turn_deg, shift))
     assert not found.agrees
-    errors = np.concatenate([np.radians(turn_deg), shift]) - found.fit.change
+    errors = np.concatenate([np.radians(turn_deg), shift, [0]]) - found.fit.change
     assert np.abs(np.degrees(errors[:3])).max() < 0.07
-    assert np.abs(errors[3:]).max() < 0.015
+    assert np.abs(errors[3:6]).max() < 0.015
     # Errors are honest: not many times what is stated, and what is stated is not wide.
     assert (np.abs(errors) < 4 * found.fit.deviations).all()
     assert np.degrees(found.fit.deviations[:3]).max() < 0.1
@@ -111,6 +111,7 @@ def test_an_image_without_edges_changes_nothing() -> None:
     empty.names.append("000099")
     empty.images.append(np.full((240, 620, 3), 120, np.uint8))
     empty.edges.append(edges_of_map(np.full((240, 620), 40, np.float32)))
+    empty.motions.append(np.zeros(6))
     assert len(empty.edges[-1]) == 0
     with_it, without = compare(empty).fit, compare(found).fit
     np.testing.assert_array_equal(with_it.change, without.change)
@@ -119,7 +120,8 @@ def test_an_image_without_edges_changes_nothing() -> None:
 
 def test_too_few_edges_tell_nothing() -> None:
     found = made()
-    few = RunEdges(found.path, found.stream, found.names[:3], found.images[:3], found.edges[:3])
+    parts = found.names, found.images, found.edges, found.motions
+    few = RunEdges(found.path, found.stream, *(part[:3] for part in parts))
     with pytest.raises(CalibrationError, match="has 3 images"):
         compare(few)
 

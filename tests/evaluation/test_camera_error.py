@@ -11,7 +11,7 @@ import pytest
 
 from docdepth.datasets import CameraStream
 from docdepth.diagnostics.calibration import RunEdges
-from docdepth.diagnostics.edge_fit import edges_of_map
+from docdepth.diagnostics.depth_edges import edges_of_map
 from docdepth.evaluation import camera_error as module
 from docdepth.evaluation.camera_error import camera_error, changed, difference
 from docdepth.geometry.camera import Camera
@@ -106,13 +106,14 @@ def test_images_that_fit_by_chance_only_are_named(monkeypatch, tmp_path):
     images = [
         cv2.GaussianBlur(rng.integers(0, 255, (240, 620, 3), np.uint8), (0, 0), 3) for _ in names
     ]
-    given = RunEdges(Path("run"), stream, names, images, edges)
+    motions = [np.zeros(6)] * 6
+    given = RunEdges(Path("run"), stream, names, images, edges, motions)
     assert given.enough
     monkeypatch.setattr(module, "edges_of_run", lambda *_: given)
     found = camera_error(RunFolder(tmp_path))
     assert math.isnan(found.mae)
     assert "by chance only" in found.line
     assert "not known" in found.line
-    few = RunEdges(given.path, stream, names[:3], images[:3], edges[:3])
+    few = RunEdges(given.path, stream, names[:3], images[:3], edges[:3], motions[:3])
     monkeypatch.setattr(module, "edges_of_run", lambda *_: few)
     assert camera_error(RunFolder(tmp_path)) is None, "a drive that stands tells nothing"

@@ -24,7 +24,7 @@ from docdepth.io.inputs import RunInputs
 from docdepth.pipeline.check import report_inputs
 
 
-@verb(inputs=RunInputs, but=("on_error", "hash_inputs"))
+@verb(inputs=RunInputs, but=("on_error", "hash_inputs", "camera_fit"))
 def check(
     recording: Annotated[
         Path,

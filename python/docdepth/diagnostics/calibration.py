@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -12,19 +13,12 @@ from numpy.typing import NDArray
 
 from docdepth.concurrency import Progress
 from docdepth.datasets import CameraStream
-from docdepth.diagnostics.alignment import Change, in_words
-from docdepth.diagnostics.edge_fit import (
-    EdgeFit,
-    Edges,
-    displaced,
-    edges_of_map,
-    fit_edges,
-    pixels_of_tracks,
-    profiles,
-)
+from docdepth.diagnostics.alignment import in_words
+from docdepth.diagnostics.depth_edges import Edges, edges_of_map, pixels_of_tracks, profiles
+from docdepth.diagnostics.edge_fit import EdgeFit, ImageEdges, displaced, fit_edges
 from docdepth.diagnostics.sweeps import spread
 from docdepth.errors import CalibrationError, Finding
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import inverse, rotation_log
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 
@@ -37,9 +31,11 @@ APART = 0.5
 """Path between two of them [m]. Seen from one place, the upper edge of a thing lies at its last
 beam, too low in every image alike; from places apart other beams meet it."""
 
-OFF = np.array([*np.radians([0.1] * 3), *[0.02] * 3])
-"""Turn [rad] and shift [m] above which a calibration is wrong, which checkerboards reach."""
+OFF = np.array([*np.radians([0.1] * 3), *[0.02] * 3, 0.005])
+"""Turn [rad] and shift [m] above which a calibration is wrong, which checkerboards reach; and time
+[s]."""
 
+_AROUND = 50_000_000  # ns before and after an image between which its motion is taken
 _DEVIATIONS = 2.0  # by which it must lie above
 _FEWEST_IMAGES = 5
 _FEWEST_EDGES = 1000  # in all images
@@ -81,24 +77,25 @@ class CalibrationCheck:
         if self.agrees:
             return (
                 "the calibration agrees with the images: it is off by less than "
-                f"{np.degrees(most[:3].max()):.2f} degrees and {100 * most[3:].max():.0f} cm"
+                f"{np.degrees(most[:3].max()):.2f} degrees, {100 * most[3:6].max():.0f} cm and "
+                f"{1000 * most[6]:.0f} ms"
             )
-        change = in_words(_clear(self.fit))
-        return f"the calibration is off: depth edges fit the images when {change}"
+        return f"the calibration is off: depth edges fit the images when {clear_change(self.fit)}"
 
     @property
     def lines(self) -> list[str]:
         """The verdict and the figures behind it."""
         right, down = self.fit.pixels
         turn = _with_errors(self.fit.turn_deg, np.degrees(self.fit.deviations[:3]), 2)
-        shift = _with_errors(100 * self.fit.shift_m, 100 * self.fit.deviations[3:], 1)
+        shift = _with_errors(100 * self.fit.shift_m, 100 * self.fit.deviations[3:6], 1)
+        late = _with_errors(1e3 * self.fit.change[6:], 1e3 * self.fit.deviations[6:], 1)
         return [
             self.verdict,
             f"in the median image edges lie {abs(right):.1f} px "
             f"{'right' if right > 0 else 'left'} of depth edges and {abs(down):.1f} px "
             f"{'below' if down > 0 else 'above'} them",
             f"points would have to turn by {turn} degrees about the camera's axes x, y, z and move "
-            f"by {shift} cm",
+            f"by {shift} cm, and images be taken {late} ms later",
             f"{self.edges} edges in {self.images} images; contrast below them is "
             f"{self.fit.score:.2f} times that beside them",
         ]
@@ -114,7 +111,10 @@ class CalibrationCheck:
             "turn_deg": fit.turn_deg.tolist(),
             "turn_error_deg": np.degrees(fit.deviations[:3]).tolist(),
             "shift_m": fit.shift_m.tolist(),
-            "shift_error_m": fit.deviations[3:].tolist(),
+            "shift_error_m": fit.deviations[3:6].tolist(),
+            "time_ms": fit.time_ms,
+            "time_error_ms": 1e3 * float(fit.deviations[6]),
+            "half_beam_mrad": (1e3 * fit.half_beam).tolist(),
             "score": fit.score,
             "edges": self.edges,
             "images": self.images,
@@ -139,11 +139,7 @@ def compare(found: RunEdges) -> CalibrationCheck:
             "take a drive that moves",
             code="few-edges",
         )
-    samples = [
-        profiles(edges, image, stream.camera)
-        for edges, image in zip(found.edges, found.images, strict=True)
-    ]
-    fit = fit_edges(found.edges, samples, stream.camera)
+    fit = fit_edges(found.seen)
     if fit.score < _LEAST_SCORE:
         raise CalibrationError(
             f"depth edges of {found.path} fit the images of {stream.name} by chance only: the "
@@ -152,7 +148,7 @@ def compare(found: RunEdges) -> CalibrationCheck:
             code="by-chance",
         )
     worst = int(np.argmax(fit.gains))
-    picture = _picture(found.images[worst], found.edges[worst], fit, stream)
+    picture = _picture(found, worst, fit)
     return CalibrationCheck(fit, found.count, len(found.edges), found.names[worst], picture)
 
 
@@ -183,6 +179,8 @@ class RunEdges:
         BGR, rectified.
     edges : list of Edges
         Of standing things.
+    motions : list of ndarray of float64, shape (6,)
+        Turn and shift of standing points in the camera's frame in a second [rad, m].
     """
 
     path: Path
@@ -190,6 +188,15 @@ class RunEdges:
     names: list[str]
     images: list[NDArray[np.uint8]]
     edges: list[Edges]
+    motions: list[Floats]
+
+    @cached_property
+    def seen(self) -> ImageEdges:
+        """The edges, and what the images show there."""
+        camera = self.stream.camera
+        pairs = zip(self.edges, self.images, strict=True)
+        samples = [profiles(edges, image, camera) for edges, image in pairs]
+        return ImageEdges(camera, self.edges, samples, self.motions)
 
     @property
     def count(self) -> int:
@@ -209,6 +216,8 @@ def edges_of_images(
     trajectory: Trajectory,
     tracks: Tracks,
     progress: Progress | None = None,
+    most: int = IMAGES,
+    fewest: int = 0,
 ) -> RunEdges:
     """Depth edges of some images, evenly along the path.
 
@@ -227,12 +236,15 @@ def edges_of_images(
         Moving objects.
     progress : callable, optional
         Called with ``"camera"``, the images done and their number.
+    most, fewest : int
+        Images that are compared; where there are fewer from places apart, none is.
     """
     times = stream.times[list(indices)]
     poses = trajectory.interpolate(times)
     apart = Trajectory(times, poses).subsample(APART)
-    chosen = [int(apart[k]) for k in spread(len(apart), IMAGES)]
-    images, edges = [], []
+    chosen = [int(apart[k]) for k in spread(len(apart), most)]
+    chosen = chosen if len(chosen) >= fewest else []
+    images, edges, motions = [], [], []
     for done, k in enumerate(chosen, 1):
         image = stream.rectified_image(indices[k])
         assert image is not None
@@ -240,9 +252,20 @@ def edges_of_images(
         moving = pixels_of_tracks(tracks, int(times[k]), T_camera_world, stream.camera)
         images.append(image)
         edges.append(edges_of_map(depth(indices[k]), moving))
+        motions.append(_motion(trajectory, int(times[k]), stream))
         if progress:
             progress("camera", done, len(chosen))
-    return RunEdges(run, stream, [stream.names[indices[k]] for k in chosen], images, edges)
+    return RunEdges(run, stream, [stream.names[indices[k]] for k in chosen], images, edges, motions)
+
+
+def _motion(trajectory: Trajectory, time: int, stream: CameraStream) -> Floats:
+    """Turn and shift of standing points in the camera's frame in a second [rad, m], (6,)."""
+    ends = np.clip([time - _AROUND, time + _AROUND], *trajectory.times[[0, -1]])
+    before, after = trajectory.interpolate(ends) @ inverse(stream.T_camera_lidar)
+    moved = inverse(after) @ before
+    seconds = 1e-9 * float(ends[1] - ends[0])
+    result: Floats = np.concatenate([rotation_log(moved[:3, :3]), moved[:3, 3]]) / seconds
+    return result
 
 
 def _with_errors(values: Floats, errors: Floats, digits: int) -> str:
@@ -250,20 +273,22 @@ def _with_errors(values: Floats, errors: Floats, digits: int) -> str:
     return ", ".join(f"{value:.{digits}f} +- {error:.{digits}f}" for value, error in pairs)
 
 
-def _clear(fit: EdgeFit) -> Change:
-    """The parts of a change that stand out of their errors, in degrees and metres, rounded."""
+def clear_change(fit: EdgeFit) -> str:
+    """The parts of a change that stand out of their errors, in words."""
     clear = np.abs(fit.change) > _DEVIATIONS * fit.deviations
-    change = np.where(clear, [*fit.turn_deg, *fit.shift_m], 0.0)
-    tilt, pan, roll, x, y, z = (round(float(part), 2) for part in change)
-    return tilt, pan, roll, x, y, z
+    change = np.where(clear, [*fit.turn_deg, *fit.shift_m, fit.time_ms], 0.0)
+    tilt, pan, roll, x, y, z = (round(float(part), 2) for part in change[:6])
+    parts = [in_words((tilt, pan, roll, x, y, z))] if any((tilt, pan, roll, x, y, z)) else []
+    if change[6]:
+        when = "later" if change[6] > 0 else "earlier"
+        parts.append(f"images are taken {abs(change[6]):.1f} ms {when}")
+    return " and ".join(parts)
 
 
-def _picture(
-    image: NDArray[np.uint8], edges: Edges, fit: EdgeFit, stream: CameraStream
-) -> NDArray[np.uint8]:
-    grey = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
-    picture = np.asarray(grey, np.uint8)
-    moved = displaced(edges, fit.change, stream.camera)
+def _picture(found: RunEdges, k: int, fit: EdgeFit) -> NDArray[np.uint8]:
+    grey = cv2.cvtColor(cv2.cvtColor(found.images[k], cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
+    picture, edges = np.asarray(grey, np.uint8), found.edges[k]
+    moved = displaced(edges, fit.of_points(found.motions[k]), found.stream.camera)
     for places, color in ((edges.pixels, _GIVEN_COLOR), (moved, _FITTED_COLOR)):
         for u, v in np.rint(places).astype(int).tolist():
             cv2.circle(picture, (u, v), 1, color, -1)

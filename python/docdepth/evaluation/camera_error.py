@@ -105,8 +105,9 @@ def camera_error(
         return None
     name = folder.depth_folder(camera)
     files = list(maps_in(folder.path / "depth" / name).values())
+    change = check.fit.of_points(np.mean(found.motions, axis=0))
     maps = (read_depth(files[k]) for k in spread(len(files), IMAGES))
-    mae, wrong = difference(maps, found.stream.camera, check.fit.change, max_depth)
+    mae, wrong = difference(maps, found.stream.camera, change, max_depth)
     return CameraError(check.verdict, mae, wrong)
 
 

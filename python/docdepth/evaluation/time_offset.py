@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from docdepth.concurrency import Progress
 from docdepth.datasets import CameraStream
-from docdepth.diagnostics.edge_fit import pixels_of_tracks
+from docdepth.diagnostics.depth_edges import pixels_of_tracks
 from docdepth.diagnostics.sweeps import spread
 from docdepth.errors import CalibrationError
 from docdepth.evaluation.camera_error import images_and_maps
@@ -27,7 +27,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
-from docdepth.pipeline.cameras import open_cameras
+from docdepth.pipeline.cameras import fitted, open_cameras
 from docdepth.pipeline.run_inputs import open_recording
 
 Floats = NDArray[np.float64]
@@ -146,7 +146,8 @@ def image_times(run: Path, camera: str | None = None) -> NDArray[np.int64]:
     inputs = folder.inputs.but(frames=None)
     name = folder.camera_in(folder.depth_folder(camera))
     recording = open_recording(inputs, folder.manifest.derived)
-    return open_cameras(inputs, recording, [name])[0].times
+    stream = open_cameras(inputs, recording, [name])[0]
+    return fitted(stream, folder.cameras[name].fit).times
 
 
 def _windows(

@@ -101,6 +101,11 @@ class RunInputs(Checked):
         "taken in place of the recording's own calibration.",
         "FILE",
     )
+    camera_fit: Literal["apply", "report", "off"] = Field(
+        "apply",
+        description="Whether depth edges that lie beside those of the images change the camera's "
+        "calibration and times. apply: where both halves of the drive agree. report: only say it.",
+    )
     keep_ego: bool = Field(
         False,
         description="Keep what the LiDAR sees of its own vehicle. Else a run finds it, where "

@@ -43,6 +43,31 @@ class VirtualCamera(Checked):
     times: Path | None = None
 
 
+class StoredCameraFit(Checked):
+    """What the images of a camera ask for.
+
+    Attributes
+    ----------
+    made_of : str
+        Hash of the classes, and of calibration and times as they were given.
+    verdict : str
+        In words; empty where the images cannot tell, or nothing is to be changed.
+    applied : bool
+        Whether the run takes it.
+    turn_deg, shift_m : tuple of float
+        Of points about and along the camera's axes x, y, z.
+    time_ms : float
+        What is added to the times of the images.
+    """
+
+    made_of: str
+    verdict: str = ""
+    applied: bool = False
+    turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    time_ms: float = 0.0
+
+
 class CameraEntry(Checked):
     """A camera of a run.
 
@@ -54,11 +79,14 @@ class CameraEntry(Checked):
         Parameters of this camera alone, by dotted name.
     virtual : VirtualCamera, optional
         None for a camera of the recording.
+    fit : StoredCameraFit, optional
+        None before a run looked for it.
     """
 
     folder: Annotated[str, AfterValidator(_inside_depth)]
     settings: dict[str, object] = Field(default_factory=dict)
     virtual: VirtualCamera | None = None
+    fit: StoredCameraFit | None = None
 
 
 class StageEntry(Checked):

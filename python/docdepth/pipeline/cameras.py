@@ -17,10 +17,10 @@ from docdepth.datasets.views import View
 from docdepth.errors import CalibrationError, ConfigError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.ground_plane import level_turn
-from docdepth.geometry.se3 import inverse, poses_from, quaternion_to_matrix
+from docdepth.geometry.se3 import inverse, poses_from, quaternion_to_matrix, rotation_exp
 from docdepth.io.depth import DESCRIPTION
 from docdepth.io.inputs import Point, RunInputs
-from docdepth.io.manifest import CameraEntry, VirtualCamera
+from docdepth.io.manifest import CameraEntry, StoredCameraFit, VirtualCamera
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.execution import check_image_size
 
@@ -82,11 +82,21 @@ def run_cameras(
             times = run.trajectory().times if recording is None else recording.times
             stream = virtual_stream(name, entry.virtual, times, run.manifest.derived.up)
         elif recording is not None:
-            (stream,) = open_cameras(run.manifest.inputs, recording, [name])
+            (given,) = open_cameras(run.manifest.inputs, recording, [name])
+            stream = fitted(given, entry.fit)
         else:
             continue
         found.append(RunCamera(stream, entry.folder, camera_parameters(run, name)))
     return found
+
+
+def fitted(stream: CameraStream, fit: StoredCameraFit | None) -> CameraStream:
+    """A camera with what its images ask for, where the run takes that."""
+    if fit is None or not fit.applied:
+        return stream
+    change = poses_from([rotation_exp(np.radians(fit.turn_deg))], [fit.shift_m])[0]
+    times = stream.times + round(1e6 * fit.time_ms)
+    return replace(stream, T_camera_lidar=change @ stream.T_camera_lidar, times=times)
 
 
 def camera_parameters(run: RunFolder, name: str) -> Parameters:

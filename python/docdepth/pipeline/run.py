@@ -23,6 +23,7 @@ from docdepth.errors import (
 from docdepth.io.inputs import RunInputs, names_in
 from docdepth.io.manifest import CameraEntry, Keep, VirtualCamera
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.camera_fit import fit_cameras
 from docdepth.pipeline.cameras import (
     RunCamera,
     add_cameras,
@@ -333,6 +334,9 @@ def _make(folder: RunFolder, recording: Dataset, execution: Execution) -> None:
                 threads, renderer = workers.threads, execution.renderer
                 run_odometry(folder, recording, poses, progress, threads, stages[0])
                 run_classify(folder, threads, progress, workers, stages[1])
+                if fit_cameras(folder, recording, threads, renderer, progress):
+                    cameras = run_cameras(folder, recording)
+                    stages = plan(folder, recording, poses, cameras)
                 streams, renders = [c.stream for c in cameras], {s.name: s for s in stages[2:]}
                 run_render(folder, streams, threads, progress, renderer, workers, renders)
                 _save_done(folder, stages)

@@ -32,7 +32,7 @@ from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.inputs import Box, DerivedInputs, Point, RunInputs, SkippedFrames
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.broken_frames import find_broken
-from docdepth.pipeline.cameras import as_recorded, open_cameras, parse_size, run_cameras
+from docdepth.pipeline.cameras import as_recorded, fitted, open_cameras, parse_size, run_cameras
 from docdepth.pipeline.given_poses import read_given_poses
 
 log = logging.getLogger(__name__)
@@ -328,5 +328,5 @@ def recorded_camera(run: RunFolder, folder: str) -> CameraStream | None:
     inputs = run.manifest.inputs
     for name, entry in run.cameras.items():
         if entry.folder == folder and entry.virtual is None and inputs is not None:
-            return open_cameras(inputs, recording_of(run), [name])[0]
+            return fitted(open_cameras(inputs, recording_of(run), [name])[0], entry.fit)
     return None

@@ -202,13 +202,15 @@ def _camera(run: RunFolder, page: CameraPage, trajectory: Trajectory) -> str:
     bare = not any("image" in leaf.views for leaf in page.leaves)
     no_photos = "No photos of this camera are at hand, so classes are drawn on black."
     verdict = run.stage(f"render {page.name}").calibration
+    fit = run.cameras[page.name].fit if page.name in run.cameras else None
+    asked = f"<p>Camera: {escape(fit.verdict)}.</p>" if fit and fit.verdict else ""
     edges = f"<p>Depth edges against image edges: {escape(verdict)}.</p>" if verdict else ""
     return "\n".join([
         f"<section class=camera><h2>Camera {escape(page.name)}</h2>"
         + f"<p class=note>{no_photos}</p>" * bare,
         flip_book(page.leaves, _VIEWS, _legends(), note),
         _density(page.density, int(trajectory.times[0])),
-        edges,
+        asked + edges,
         _held_out(run, page.name),
         "</section>",
     ])  # fmt: skip
