@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from docdepth.errors import OdometryError
 from docdepth.geometry.se3 import inverse, se3_exp
 from docdepth.odometry.odometry import register_drive
 from exact_drive import Drive
@@ -72,3 +73,13 @@ def test_poses_of_another_drive_are_kept_and_told(drive: Drive) -> None:
     odometry = register_drive(drive, poses=given)
     np.testing.assert_array_equal(odometry.trajectory.poses, given)
     assert "poor-poses" in [f.code for f in odometry.findings]
+
+
+def test_a_receiver_without_position_gives_the_origin(drive: Drive) -> None:
+    given = drive.exact.copy()
+    given[1:, :3, 3] += [500_000.0, 5_400_000, 100]
+    with pytest.raises(OdometryError, match=r"^1 of 24 poses lie 5,423 km .* frame 0") as raised:
+        register_drive(drive, poses=given)
+    assert raised.value.code == "poses-apart"
+    given[0, :3, 3] = given[1, :3, 3]
+    register_drive(drive, poses=given, poses_as_given=True)

@@ -86,6 +86,24 @@ def test_a_mount_that_leans_changes_no_result(level, tmp_path, degrees):
         assert np.median(np.abs(maps[0][both] / maps[1][both] - 1)) < 0.01
 
 
+def test_a_virtual_camera_stands_in_the_frame_of_the_lidar_as_it_is_mounted(tmp_path):
+    """At the place of the recorded camera it gives the recorded camera's map."""
+    drive = mounted(tmp_path / "drive", (0, 20, 0))
+    run = run_of(drive)
+    assert run.manifest.derived.up
+    stream = next(iter(open_dataset(drive).cameras.values()))
+    np.savetxt(tmp_path / "pose.txt", inverse(stream.T_camera_lidar), "%.17g")
+    K, camera = stream.camera.K, stream.camera
+    described = f"{K[0, 0]},{K[1, 1]},{K[0, 2]},{K[1, 2]}", f"{camera.width}x{camera.height}"
+    options = "--K", described[0], "--size", described[1]
+    result = cli("render", run.path, "--pose", tmp_path / "pose.txt", *options)
+    assert result.exit_code == 0, result.stderr
+    for recorded in sorted((run.path / "depth").glob("*.png")):
+        twin = run.path / "depth" / "virtual" / recorded.name
+        depths = _depth(recorded), _depth(twin)
+        assert np.mean(depths[0] != depths[1]) < 0.001  # of rounded extrinsics
+
+
 def _depth(path: Path) -> np.ndarray:
     import cv2
 

@@ -33,6 +33,7 @@ _PLACES, _ENOUGH = 12, 3
 _COLUMN = 1.0  # metres, edge of the columns that tell an open road
 _OTHER = 0.5  # metres a sweep, between the motion of poses and that of high points
 _PERIODS = (0.005, 5.0)  # seconds between sweeps
+_APART = 5e5  # metres between a pose and the middle of all; no recording goes that far
 _JUMP = 1.0  # metres by which the step from sweep to sweep changes; a vehicle cannot do that
 
 
@@ -46,7 +47,7 @@ def check_given_poses(dataset: Dataset, poses: ArrayLike) -> NDArray[np.float64]
     Raises
     ------
     OdometryError
-        Poses are not rigid, or not one for each sweep.
+        Poses are not rigid, not one for each sweep, or farther apart than any drive goes.
     """
     given = np.ascontiguousarray(poses, dtype=np.float64)
     if given.ndim != 3 or given.shape[1:] != (4, 4):
@@ -61,6 +62,17 @@ def check_given_poses(dataset: Dataset, poses: ArrayLike) -> NDArray[np.float64]
         check_rigid(given)
     except InputError as error:
         raise OdometryError(str(error)) from None
+    positions = given[:, :3, 3]
+    apart = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
+    far = np.flatnonzero(apart > _APART)
+    if len(far):
+        raise OdometryError(
+            f"{len(far)} of {len(given)} poses lie {1e-3 * apart[far[0]]:,.0f} km from the others, "
+            f"the first of them that of frame {far[0]}",
+            "leave these frames out (`frames`): a receiver that has no position yet gives the "
+            "origin",
+            code="poses-apart",
+        )
     return given
 
 
