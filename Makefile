@@ -128,7 +128,7 @@ sanitize: dev
 	  -DDOCDEPTH_WERROR=ON -DDOCDEPTH_PYTHON=OFF -DDOCDEPTH_TESTS=ON -DDOCDEPTH_SANITIZE=ON \
 	  -DCMAKE_BUILD_TYPE=RelWithDebInfo -DCMAKE_UNITY_BUILD=ON \
 	  -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O1 -g1" $(addprefix -D,$(LAUNCHER))
-	$(BIN)/cmake --build build/sanitize
+	MAKEFLAGS= $(BIN)/cmake --build build/sanitize  # ninja cannot read a make's list of free jobs
 	build/sanitize/docdepth_tests
 
 # A process a core.
