@@ -22,6 +22,9 @@ Scores = NDArray[np.float64]
 Change = tuple[float, float, float, float, float, float]
 """Turn of points about the camera's axes x, y, z [deg], then their shift along these [m]."""
 
+OTHER_TIMES = ", or they are of other times"
+"""What may look like a camera that is too far ahead, where times are not fitted."""
+
 _FEWEST_PAIRS = 5  # with less the difference of two scores says nothing
 _STEP_DEG, _FARTHEST_DEG = 0.5, 4.0  # turns that are compared
 _WIDE_STEP_DEG, _WIDEST_DEG = 1.0, 12.0  # those where none of them fits
@@ -250,5 +253,5 @@ def in_words(change: Change) -> str:
     ]
     parts = [f"turns {' and '.join(turn)}"] if turn else []
     parts += [f"moves {' and '.join(shift)}"] if shift else []
-    times = ", or they are of other times" if z else ""
+    times = OTHER_TIMES if z else ""
     return f"the camera {' and '.join(parts)}{times}"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from docdepth.concurrency import Progress
 from docdepth.datasets import CameraStream
-from docdepth.diagnostics.alignment import in_words
+from docdepth.diagnostics.alignment import OTHER_TIMES, in_words
 from docdepth.diagnostics.depth_edges import Edges, edges_of_map, pixels_of_tracks, profiles
 from docdepth.diagnostics.edge_fit import EdgeFit, ImageEdges, displaced, fit_edges
 from docdepth.diagnostics.sweeps import spread
@@ -278,7 +278,8 @@ def clear_change(fit: EdgeFit) -> str:
     clear = np.abs(fit.change) > _DEVIATIONS * fit.deviations
     change = np.where(clear, [*fit.turn_deg, *fit.shift_m, fit.time_ms], 0.0)
     tilt, pan, roll, x, y, z = (round(float(part), 2) for part in change[:6])
-    parts = [in_words((tilt, pan, roll, x, y, z))] if any((tilt, pan, roll, x, y, z)) else []
+    place = in_words((tilt, pan, roll, x, y, z)).removesuffix(OTHER_TIMES)
+    parts = [place] if any((tilt, pan, roll, x, y, z)) else []
     if change[6]:
         when = "later" if change[6] > 0 else "earlier"
         parts.append(f"images are taken {abs(change[6]):.1f} ms {when}")
