@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scenes  # noqa: F401  adds its scenes
 import two_lidars
 from results import parser_of, publish, script
 

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scenes  # noqa: F401  adds its scenes
 from numpy.typing import NDArray
 from results import parser_of, publish, script
 
