@@ -37,7 +37,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[CameraFit]:
 def test_a_run_draws_with_what_the_images_ask_for(drive, tmp_path, asked, caplog) -> None:
     asked.append(asks(4))
     with caplog.at_level(NOTE, logger="docdepth"):
-        docdepth.run(drive, tmp_path / "run", poses="dataset")
+        docdepth.run(drive, tmp_path / "run", poses="dataset", camera_fit="apply")
     run = RunFolder.open(tmp_path / "run")
     (name,) = run.cameras
     given = open_dataset(drive).cameras[name]

@@ -102,9 +102,10 @@ class RunInputs(Checked):
         "FILE",
     )
     camera_fit: Literal["apply", "report", "off"] = Field(
-        "apply",
+        "off",
         description="Whether depth edges that lie beside those of the images change the camera's "
-        "calibration and times. apply: where both halves of the drive agree. report: only say it.",
+        "calibration and times. apply: where both halves of the drive agree. report: only say it. "
+        "Drives of less than 50 m may be wrong about it.",
     )
     keep_ego: bool = Field(
         False,
