@@ -12,6 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from docdepth.cli import app
+from docdepth.diagnostics.edge_fit import EdgeFit
 from docdepth.errors import InputError, RunError
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.io.run_folder import RunFolder
@@ -97,11 +98,12 @@ def test_what_a_wrong_camera_adds_is_said(finished, monkeypatch):
 
     class Check:
         agrees, verdict = False, "the calibration is off"
-        fit = SimpleNamespace(change=np.array([0, np.radians(0.5), 0, 0, 0, 0]))
+        change = np.array([0, np.radians(0.5), 0, 0, 0, 0, 0])
+        fit = EdgeFit(change, np.eye(7), np.zeros(2), 1.0, np.zeros(1), np.zeros(2))
 
     assert module.camera_error(RunFolder.open(finished)) is None
     stream = recorded_camera(RunFolder.open(finished), "")
-    edges = SimpleNamespace(enough=True, stream=stream)
+    edges = SimpleNamespace(enough=True, stream=stream, motions=[np.zeros(6)])
     monkeypatch.setattr(module, "edges_of_run", lambda *_: edges)
     monkeypatch.setattr(module, "compare", lambda _: Check)
     found = module.camera_error(RunFolder.open(finished))
