@@ -45,7 +45,7 @@ FRAME = _core.Frame(POINTS, CLASSES, 99.0)
         ),
         (lambda: _core.vote(POINTS, GROUND, POSE, [None], POSE[None]), "a key frame is None"),
         (lambda: mesh_frame(corner=50), "triangles name a point that is not there"),
-        (lambda: mesh_frame(owner=1), "an owner = 1 must lie between 0 and 0"),
+        (lambda: mesh_frame(owner=1), "an object_index = 1 must lie between 0 and 0"),
         (lambda: splats(50_000, 50_000, FRAME), "width times height = 2500000000 must lie"),
         (lambda: splats(9, 9, None), "a frame is None"),
         (lambda: splats(9, 9, FRAME, np.full((4, 4), np.nan)), "a pose is not a rotation"),

@@ -42,9 +42,12 @@ def read_times_of(files: Sequence[Path], table: Path, what: str, remedy: str) ->
     written = [line for line in lines if line[1]]
     if len(written) == len(files):
         lines = written
+    known = {n: _nanoseconds(text, n, table) for n, text in written}
     rows = match_rows(files, len(lines), table, what)
-    found = [_nanoseconds(lines[row][1], lines[row][0], table) for row in rows]
-    times: NDArray[np.int64] = np.array(found, np.int64)
+    lost = [n for n, text in (lines[row] for row in rows) if not text]
+    if lost:
+        raise DatasetError(f"{table}, line {lost[0]}: there is no time; {remedy}")
+    times: NDArray[np.int64] = np.array([known[lines[row][0]] for row in rows], np.int64)
     check_increasing(times, [file.name for file in files], table)
     return times
 

@@ -7,6 +7,7 @@ half of the world look moving, though neighbouring sweeps fit each other.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ _APART = 10  # sweeps between those that are compared
 # 0.002 to 0.021 by five sensors; of two SLAMs 0.03 and 0.05. With noise of 5 cm 0.06 to 0.1, with
 # 0.1 degrees 0.03 to 0.17, by GPS and IMU 0.16.
 _POOR = 0.06
+_WRONG = 0.25  # metres; so poor poses may be of another frame or order
 _BETTER = 0.5  # of the misfit; refined poses that fit little better are not taken
 
 
@@ -69,7 +71,10 @@ def refine_poor(
         path = np.stack(list(smoothed(states)))
     refined = _laid_on(poses, path)
     after = misfit_of(sweeps, refined, parameters)
-    misfits = f"by the poses, points lie {before:.2f} m from where they were ten sweeps before"
+    misfits = (
+        f"the poses do not fit the sweeps: points lie {before:.2f} m from where they were ten "
+        "sweeps before"
+    )
     if found or after is None or after > min(_POOR, _BETTER * before):
         text = f"{misfits}; registration finds no poses that fit, so these are kept"
         return poses, [
@@ -85,7 +90,8 @@ def refine_poor(
         f"{misfits}; after registration {after:.2f} m. The poses have moved by up to {moved:.2f} m"
     )
     remedy = "`poses_as_given=True` takes them as they are"
-    return refined, [Finding("poses-refined", "", text, remedy, "note")]
+    severity: Literal["warning", "note"] = "warning" if before > _WRONG else "note"
+    return refined, [Finding("poses-refined", "", text, remedy, severity)]
 
 
 def _laid_on(poses: NDArray[np.float64], path: NDArray[np.float64]) -> NDArray[np.float64]:
