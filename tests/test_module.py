@@ -43,7 +43,10 @@ FRAME = _core.Frame(POINTS, CLASSES, 99.0)
             lambda: _core.cluster_objects(POINTS[1:], GROUND[1:], mesh()),
             "mesh was made of another number of points",
         ),
-        (lambda: _core.vote(POINTS, GROUND, POSE, [None], POSE[None]), "a key frame is None"),
+        (
+            lambda: _core.vote(POINTS, GROUND, POSE, [None], POSE[None], [0.0]),
+            "a key frame is None",
+        ),
         (lambda: mesh_frame(corner=50), "triangles name a point that is not there"),
         (lambda: mesh_frame(owner=1), "an object_index = 1 must lie between 0 and 0"),
         (lambda: splats(50_000, 50_000, FRAME), "width times height = 2500000000 must lie"),

@@ -26,7 +26,7 @@ struct DetectionRow {
   std::uint32_t first, points, dynamic_points;
   std::uint32_t samples, edges, hidden;  ///< how many of them it has
   std::int32_t first_occupied, last_occupied, stands_since, stands_until;
-  float area, dynamic_area, free_area, time_offset;
+  float area, dynamic_area, free_area, porous_area, time_offset;
   std::array<float, 3> middle;
   float ground_height, ground_deviation;
   std::array<float, 3> low, high;
@@ -79,6 +79,7 @@ void assign_values(Row& row, Object& object, const Assign& assign) {
   assign(row.area, object.area);
   assign(row.dynamic_area, object.dynamic_area);
   assign(row.free_area, object.free_area);
+  assign(row.porous_area, object.porous_area);
   assign(row.time_offset, object.time_offset);
   assign(row.ground_height, object.ground.value);
   assign(row.ground_deviation, object.ground.deviation);
@@ -197,14 +198,12 @@ py::array_t<std::uint8_t> with_inside(const Array<float>& points, const Array<bo
   return to_numpy(std::move(result));
 }
 
-std::shared_ptr<Detections> make_detections(const Array<float>& points, const Array<bool>& ground,
-                                            const Array<std::uint32_t>& objects,
-                                            const Array<bool>& dynamic,
-                                            const Array<bool>& occupied_once,
-                                            const Array<std::int32_t>& first_occupied,
-                                            const Array<std::int32_t>& last_occupied,
-                                            const ScanMesh& mesh, const Array<double>& pose,
-                                            const std::optional<Array<float>>& time_offset) {
+std::shared_ptr<Detections> make_detections(
+    const Array<float>& points, const Array<bool>& ground, const Array<std::uint32_t>& objects,
+    const Array<bool>& dynamic, const Array<bool>& occupied_once, const Array<bool>& porous,
+    const Array<std::int32_t>& first_occupied, const Array<std::int32_t>& last_occupied,
+    const ScanMesh& mesh, const Array<double>& pose,
+    const std::optional<Array<float>>& time_offset) {
   const PointMap map = as_points(points);
   const auto count = map.rows();
   check_mesh(mesh, count);
@@ -213,6 +212,7 @@ std::shared_ptr<Detections> make_detections(const Array<float>& points, const Ar
       as_object_column(objects, count),
       as_flags(dynamic, count, "dynamic"),
       as_flags(occupied_once, count, "occupied_once"),
+      as_flags(porous, count, "porous"),
       as_column(first_occupied, count, "first_occupied"),
       as_column(last_occupied, count, "last_occupied"),
       time_offset ? as_column(*time_offset, count, "time_offset") : nullptr};
@@ -358,7 +358,7 @@ py::list track(const py::function& read, const Array<double>& times, int threads
 void bind_rows() {
   PYBIND11_NUMPY_DTYPE(DetectionRow, first, points, dynamic_points, samples, edges, hidden,
                        first_occupied, last_occupied, stands_since, stands_until, area,
-                       dynamic_area, free_area, time_offset, middle, ground_height,
+                       dynamic_area, free_area, porous_area, time_offset, middle, ground_height,
                        ground_deviation, low, high);
   PYBIND11_NUMPY_DTYPE(SampleRow, point, normal, time);
   PYBIND11_NUMPY_DTYPE(BorderRow, point, time);
@@ -401,8 +401,8 @@ void bind_objects(py::module_& m) {
         "dynamic_votes"_a, "T_world_lidar"_a, "boxes"_a, "voxels"_a, "dynamic"_a);
   py::class_<Detections, std::shared_ptr<Detections>>(m, "Detections")
       .def(py::init(&make_detections), "points"_a, "ground"_a, "objects"_a, "dynamic"_a,
-           "occupied_once"_a, "first_occupied"_a, "last_occupied"_a, "mesh"_a, "T_world_lidar"_a,
-           "time_offset"_a = py::none())
+           "occupied_once"_a, "porous"_a, "first_occupied"_a, "last_occupied"_a, "mesh"_a,
+           "T_world_lidar"_a, "time_offset"_a = py::none())
       .def_static("of", &detections_of, "rows"_a, "samples"_a, "borders"_a)
       .def_property_readonly("arrays", &arrays_of);
   m.def("track_objects", &track, "read"_a, "times"_a, "threads"_a, "take"_a, "buffer_size"_a,

@@ -42,20 +42,18 @@ std::unique_ptr<MeshImage> make_mesh_image(const Array<float>& points, const Arr
 py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
                   const Array<double>& T_world_lidar,
                   const std::vector<const KeyFrame*>& key_frames, const Array<double>& poses,
-                  int threads, py::ssize_t earlier) {
+                  const std::vector<double>& seconds, int threads) {
   const PointMap map = as_points(points);
   const bool* flags = as_flags(ground, map.rows(), "ground");
   in_range(double(key_frames.size()), 0, Votes::kNever, "the number of key frames");
-  in_range(double(earlier), 0, double(key_frames.size()), "earlier");
   const Pose pose = as_pose(T_world_lidar);
   const std::vector<Pose> T_world_key = as_poses(poses);
   for (const KeyFrame* key_frame : key_frames)
     if (!key_frame) throw std::invalid_argument("a key frame is None");
-  Votes votes = without_gil([&] {
-    return vote(map, flags, pose, key_frames, T_world_key, threads, std::size_t(earlier));
-  });
+  Votes votes = without_gil(
+      [&] { return vote(map, flags, pose, key_frames, T_world_key, seconds, threads); });
   return py::make_tuple(to_numpy(std::move(votes.statics)), to_numpy(std::move(votes.dynamics)),
-                        to_numpy(std::move(votes.occupied_once)),
+                        to_numpy(std::move(votes.occupied_once)), to_numpy(std::move(votes.porous)),
                         to_numpy(std::move(votes.first_occupied)),
                         to_numpy(std::move(votes.last_occupied)));
 }
@@ -88,7 +86,7 @@ void bind_voting(py::module_& m) {
   py::class_<MeshImage, KeyFrame>(m, "MeshImage")
       .def(py::init(&make_mesh_image), "points"_a, "ground"_a, "mesh"_a, "parameters"_a);
   m.def("vote", &vote_on, "points"_a, "ground"_a, "T_world_lidar"_a, "key_frames"_a, "poses"_a,
-        "threads"_a = 0, "earlier"_a = 0);
+        "seconds"_a, "threads"_a = 0);
 }
 
 }  // namespace docdepth::bindings

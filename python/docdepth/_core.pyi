@@ -276,7 +276,7 @@ class Detections:
     @staticmethod
     def of(rows: typing.Annotated[numpy.typing.ArrayLike, ...], samples: typing.Annotated[numpy.typing.ArrayLike, ...], borders: typing.Annotated[numpy.typing.ArrayLike, ...]) -> Detections:
         ...
-    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], objects: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], dynamic: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], occupied_once: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], first_occupied: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], last_occupied: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], mesh: ScanMesh, T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], time_offset: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None) -> None:
+    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], objects: typing.Annotated[numpy.typing.ArrayLike, numpy.uint32], dynamic: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], occupied_once: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], porous: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], first_occupied: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], last_occupied: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], mesh: ScanMesh, T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], time_offset: typing.Annotated[numpy.typing.ArrayLike, numpy.float32] | None = None) -> None:
         ...
     @property
     def arrays(self) -> tuple:
@@ -336,6 +336,6 @@ def thin_sweep(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], 
     ...
 def track_objects(read: collections.abc.Callable, times: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], threads: typing.SupportsInt | typing.SupportsIndex, take: collections.abc.Callable, buffer_size: typing.SupportsInt | typing.SupportsIndex, progress: collections.abc.Callable) -> list:
     ...
-def vote(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], key_frames: collections.abc.Sequence[KeyFrame], poses: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], threads: typing.SupportsInt | typing.SupportsIndex = 0, earlier: typing.SupportsInt | typing.SupportsIndex = 0) -> tuple:
+def vote(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], T_world_lidar: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], key_frames: collections.abc.Sequence[KeyFrame], poses: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], seconds: collections.abc.Sequence[typing.SupportsFloat | typing.SupportsIndex], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> tuple:
     ...
 __version__: str = '0.1.0'

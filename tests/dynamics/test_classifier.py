@@ -104,7 +104,7 @@ def random_votes(points, seed, patches=40):
 def in_order(votes, once):
     """Votes that tell which places were occupied in one stretch of time."""
     ends = np.full(len(once), NEVER, np.uint16)
-    return replace(votes, occupancy=OccupancyIntervals(once, ends, ends))
+    return replace(votes, occupancy=OccupancyIntervals(once, ~once, ends, ends))
 
 
 @pytest.mark.parametrize("seed", range(4))

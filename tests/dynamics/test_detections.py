@@ -21,9 +21,9 @@ def test_detections_are_the_objects_of_their_sweep():
     T = np.eye(4)
     T[:3, 3] = 3, -2, 1
     ends = np.arange(400, dtype=np.int32)
-    free = rng.random(400) < 0.5
+    free, porous = rng.random((2, 400)) < 0.5
     mesh = ScanMesh(points).core
-    made = _core.Detections(points, ground, objects, moving, free, ends, ends, mesh, T)
+    made = _core.Detections(points, ground, objects, moving, free, porous, ends, ends, mesh, T)
     rows, samples, borders = made.arrays
     assert list(rows["first"]) == sorted(set(objects[~ground]))
     for row in rows:
@@ -39,6 +39,7 @@ def test_detections_are_the_objects_of_their_sweep():
         isolated = np.isin(np.flatnonzero(members), mesh.isolated).sum()
         freed = squares[free[members]].sum() if isolated <= 0.1 * count else 0
         np.testing.assert_allclose(row["free_area"], freed, rtol=1e-5)
+        np.testing.assert_allclose(row["porous_area"], squares[porous[members]].sum(), rtol=1e-5)
         sweeps = np.sort(np.flatnonzero(members))
         assert row["first_occupied"] == sweeps[count // 2]
         quarters = [int(share * (int(count) - 1) + 0.5) for share in (0.25, 0.75)]
@@ -75,7 +76,7 @@ def test_borders_tell_where_an_object_ends_and_where_it_is_hidden():
 def test_wrong_objects_are_refused():
     points, ground = np.ones((3, 3), np.float32), np.zeros(3, bool)
     objects, moving = np.array([0, 1, 1], np.uint32), np.zeros(3, bool)
-    seen = (moving, *np.zeros((2, 3), np.int32), ScanMesh(points).core, np.eye(4))
+    seen = (moving, moving, *np.zeros((2, 3), np.int32), ScanMesh(points).core, np.eye(4))
     with pytest.raises(ValueError, match="cluster_objects"):
         _core.Detections(points, ground, objects[::-1].copy(), moving, *seen)
     with pytest.raises(InputError, match="order"):

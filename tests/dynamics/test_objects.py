@@ -200,7 +200,7 @@ def test_a_fence_was_not_free_though_key_frames_look_through_it():
         votes = Votes(*np.zeros((2, met.size), np.uint16))
         votes.static[met.ravel()], votes.dynamic[met.ravel()] = 10, 2
         once, ends = votes.dynamic > 0, np.zeros(met.size, np.uint16)
-        votes = replace(votes, occupancy=OccupancyIntervals(once, ends, ends))
+        votes = replace(votes, occupancy=OccupancyIntervals(once, ~once, ends, ends))
         largest = np.bincount(cluster_objects(points, ground)[met.ravel()]).max()
         assert largest > 100
         assert (classify(ground, votes, DEFAULT, points)[met.ravel()] == 100).all() == moves

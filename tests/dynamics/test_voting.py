@@ -1,6 +1,7 @@
 """Key frames and their votes against an independent numpy implementation, and real sweeps."""
 
 import os
+from itertools import groupby, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,35 @@ def test_votes_equal_the_reference_in_the_yard(yard, vote_model, window, resolut
     np.testing.assert_array_equal(votes.dynamic, expected[1])
     assert votes.static.any()
     assert votes.dynamic.any()
+
+
+def test_the_order_of_votes_equals_that_of_single_key_frames(yard):
+    """When a place was occupied, and whether it was left for less than a second in between."""
+    trajectory, sweeps, what = yard
+    ground, sweep = [w == 0 for w in what], 5
+    keys = np.array([5, 0, 5, 11, 4, 11])  # the box comes and goes
+    frames = [KeyFrame(sweeps[k], ground[k]) for k in keys]
+    seconds = np.array([-4.0, -2.5, -1.6, 0.2, 0.9, 2.1])
+    asked = sweeps[sweep], ground[sweep], trajectory.poses[sweep]
+    together = vote(*asked, frames, trajectory.poses[keys], seconds=seconds)
+    single = [
+        vote(*asked, [frame], trajectory.poses[[k]]) for frame, k in zip(frames, keys, strict=True)
+    ]
+    found = np.array([v.static - v.dynamic.astype(int) for v in single])
+    found = np.insert(found, 3, 1, axis=0)  # the sweep itself
+    times = np.insert(seconds, 3, 0)
+    once, porous = np.zeros((2, len(sweeps[sweep])), bool)
+    for i, of in enumerate(found.T):
+        looks = [(t, v > 0) for t, v in zip(times, of, strict=True) if v]
+        stays = [list(stay) for occupied, stay in groupby(looks, lambda look: look[1]) if occupied]
+        gaps = [after[0][0] - before[-1][0] for before, after in pairwise(stays)]
+        once[i] = len(stays) == 1 and (of < 0).any()
+        porous[i] = min(gaps, default=np.inf) <= 1
+    np.testing.assert_array_equal(together.occupancy.occupied_once, once)
+    np.testing.assert_array_equal(together.occupancy.porous, porous)
+    assert once.any()
+    assert 0 < porous.sum() < np.count_nonzero(~once & (found < 0).any(0))
+    assert not vote(*asked, frames, trajectory.poses[keys]).occupancy.porous.any()
 
 
 @pytest.mark.parametrize("vote_model", ["range_image", "surface"])

@@ -26,11 +26,12 @@ class Thing:
     """A box, its position in each sweep (None: unseen), and the sweeps that vote dynamic.
 
     Positions are (x, y) or (x, y, z) of its middle. ``seen`` chooses among its returns, in its own
-    frame; all if None. ``remembered``: votes tell in order of time that it came or left.
+    frame; all if None. ``remembered``: votes tell in order of time that it came or left. ``porous``
+    is the share of its places that were hit and passed in turn.
     """
 
-    def __init__(self, size, at, dynamic=(), seen=None, remembered=True):
-        self.at, self.dynamic, self.seen = at, set(dynamic), seen
+    def __init__(self, size, at, dynamic=(), seen=None, remembered=True, porous=0.0):
+        self.at, self.dynamic, self.seen, self.porous = at, set(dynamic), seen, porous
         self.box, self.size, self.remembered = size, float(np.hypot(*size[:2])), remembered
 
     def stay(self, i, count):
@@ -101,7 +102,7 @@ def detections_of(things, count, seed=0, joined=None, drive=None):
     detections, rows = [], []
     for i in range(count):
         T = (drive or straight(count)).poses[i]
-        points, first, moving, stays, firsts, wholes = [], [], [], [], {}, {}
+        points, first, moving, porous, stays, firsts, wholes = [], [], [], [], [], {}, {}
         ranges = np.array([thing.ranges(i, T[:3, 3]) for thing in things])
         nearest = np.where(np.isfinite(ranges).any(0), ranges.argmin(0), -1)
         for k, thing in enumerate(things):
@@ -116,12 +117,13 @@ def detections_of(things, count, seed=0, joined=None, drive=None):
             points += list(seen)
             first += [whole] * len(seen)
             moving += [i in thing.dynamic] * len(seen)
+            porous += list(np.arange(len(seen)) < thing.porous * len(seen))
             stays += list(thing.stays(i, count, seen + T[:3, 3]))
         cloud = np.array(points, np.float32).reshape(-1, 3)
         none = np.zeros(len(cloud), bool)
         objects, flags = np.array(first, np.uint32), np.array(moving, bool)
         once, *ends = np.array(stays, np.int32).reshape(-1, 3).T
-        seen = (once > 0, *(np.ascontiguousarray(end) for end in ends))
+        seen = (once > 0, np.array(porous, bool), *(np.ascontiguousarray(end) for end in ends))
         mesh = ScanMesh(cloud).core
         detections.append(_core.Detections(cloud, none, objects, flags, *seen, mesh, T))
         rows.append(firsts)
@@ -132,9 +134,10 @@ def one_object(cloud, sweep, T=None, ground=None, times=None):
     """Detections of a sweep in which all points but those of the ground are of a moving object."""
     ground = np.zeros(len(cloud), bool) if ground is None else ground
     objects = np.where(ground, np.arange(len(cloud)), 0).astype(np.uint32)
-    ends = np.full(len(cloud), sweep, np.int32)
+    ends, none = np.full(len(cloud), sweep, np.int32), np.zeros(len(cloud), bool)
     mesh, T = ScanMesh(cloud).core, np.eye(4) if T is None else T
-    return _core.Detections(cloud, ground, objects, ~ground, ~ground, ends, ends, mesh, T, times)
+    seen = ~ground, none, ends, ends
+    return _core.Detections(cloud, ground, objects, ~ground, *seen, mesh, T, times)
 
 
 def with_options(monkeypatch, **changed):

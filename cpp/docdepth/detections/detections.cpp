@@ -11,7 +11,8 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
-/// With a larger share of isolated returns an object is porous: rays pass through twigs and fences.
+/// With a larger share of isolated returns nothing of an object counts as free: rays pass through
+/// twigs and fences.
 constexpr float kMaxIsolatedShare = 0.1f;
 /// What is higher than a van, or higher than a car and longer than a van [m], has more samples than
 /// kMaxSamples that are so far apart [m], up to 500: farther apart, those of a lorry miss those of
@@ -107,7 +108,7 @@ float largest_spacing(const Extent& box) {
 
 Detections detect_objects(const Points& points, const PointEvidence& evidence, const ScanMesh& mesh,
                           const Pose& T_world_lidar) {
-  const auto& [ground, objects, dynamic, occupied_once, first_occupied, last_occupied,
+  const auto& [ground, objects, dynamic, occupied_once, porous, first_occupied, last_occupied,
                time_offset] = evidence;
   const auto count = static_cast<std::uint32_t>(points.rows());
   constexpr std::uint32_t kUnseen = 0xffffffff;
@@ -120,7 +121,7 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
   Detections detections;
   std::vector<TimedSurface> members;
   std::vector<std::vector<std::int32_t>> firsts, lasts;
-  std::vector<std::uint32_t> porous;  // isolated returns of each object
+  std::vector<std::uint32_t> isolates;  // isolated returns of each object
   std::vector<std::uint8_t> isolated(count);
   for (const auto i : mesh.isolated) isolated[i] = 1;
   const RigidTransform T(T_world_lidar);
@@ -134,7 +135,7 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
       detections.back().first = first;
       detections.back().box = {p, p};
       members.emplace_back();
-      porous.push_back(0);
+      isolates.push_back(0);
       firsts.emplace_back();
       lasts.emplace_back();
     }
@@ -148,7 +149,8 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
       object.dynamic_area += area;
     }
     if (occupied_once[i]) object.free_area += area;
-    porous[number[first]] += isolated[i];
+    if (porous[i]) object.porous_area += area;
+    if (isolated[i]) ++isolates[number[first]];
     const float time = time_offset ? time_offset[i] : 0;
     object.time_offset += time;
     object.box.add({p, p});
@@ -161,7 +163,7 @@ Detections detect_objects(const Points& points, const PointEvidence& evidence, c
   for (std::size_t k = 0; k < detections.size(); ++k) {
     detections[k].time_offset /= float(detections[k].points);
     detections[k].middle /= float(detections[k].points);
-    if (float(porous[k]) > kMaxIsolatedShare * float(detections[k].points))
+    if (float(isolates[k]) > kMaxIsolatedShare * float(detections[k].points))
       detections[k].free_area = 0;
     find_occupancy(firsts[k], lasts[k], detections[k]);
     for (TimedPoints* border : {&detections[k].edges, &detections[k].hidden})

@@ -33,7 +33,8 @@ struct Detection {
   std::uint32_t dynamic_points = 0;  ///< how many of them the votes call dynamic
   float area = 0;                    ///< of its points
   float dynamic_area = 0;            ///< of those that the votes call dynamic
-  float free_area = 0;  ///< of those whose place was free before or after; 0 of porous things
+  float free_area = 0;    ///< of those whose place was free before or after; 0 of scattered returns
+  float porous_area = 0;  ///< of those whose place was hit and passed in turn
   std::int32_t first_occupied = 0;  ///< median of the first sweeps that found a place occupied
   std::int32_t last_occupied = 0;   ///< the same of the last ones
   /// The sweeps before and after which kStandingShare of its places were found occupied.
@@ -69,6 +70,7 @@ struct PointEvidence {
   const std::uint32_t* objects;        ///< row of the first point of its object (cluster_objects)
   const bool* dynamic;                 ///< whether the votes call it dynamic
   const bool* occupied_once;           ///< its place was free before or after one stay (Votes)
+  const bool* porous;                  ///< its place was hit and passed in turn (Votes)
   const std::int32_t* first_occupied;  ///< first and last sweep that found its place occupied
   const std::int32_t* last_occupied;
   const float* time_offset;  ///< [s after the sweep's stamp]; may be null

@@ -133,6 +133,7 @@ void add(const TrackObservation& fragment, TrackObservation& seen) {
   seen.area += fragment.area;
   seen.transient_area += fragment.transient_area;
   seen.free_area += fragment.free_area;
+  seen.porous_area += fragment.porous_area;
 }
 
 /// Fragments of one vehicle as one track. How far it went from sweep to sweep says the fragment of

@@ -18,6 +18,7 @@ TrackObservation observe(std::size_t sweep, const Detections& detections,
     seen.area += object.area;
     seen.transient_area += object.transient_area();
     seen.free_area += object.free_area;
+    seen.porous_area += object.porous_area;
     if (object.is_transient()) transient += object.points;
     if (object.is_dynamic()) dynamic += object.points;
     offset += double(object.time_offset) * object.points;

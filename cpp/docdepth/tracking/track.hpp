@@ -27,6 +27,7 @@ struct TrackObservation {
   float area = 0;             ///< of its points (Detection)
   float transient_area = 0;   ///< of those that are transient
   float free_area = 0;        ///< of those whose place was free
+  float porous_area = 0;      ///< of those whose place was hit and passed in turn
   std::uint32_t points = 0;   ///< of its objects
   double time_offset = 0;     ///< mean time of these points [s after the sweep's stamp]
   GroundHeight ground{};      ///< under the object of most points

@@ -47,6 +47,9 @@ struct Votes {
   /// is where something arrives, leaves or passes. Twigs and fences are found free and occupied in
   /// turn.
   std::vector<std::uint8_t> occupied_once;
+  /// 1 if the place was occupied, free, and occupied again within a second: rays hit and pass a
+  /// thing in turn. Road users keep a longer distance from each other.
+  std::vector<std::uint8_t> porous;
   /// The first and the last key frame that found the place occupied; kNever if none did.
   std::vector<std::uint16_t> first_occupied, last_occupied;
   static constexpr std::uint16_t kNever = 0xffff;
@@ -57,9 +60,9 @@ struct Votes {
 /// @param ground       one flag per point
 /// @param key_frames   in order of time
 /// @param T_world_key  pose of each key frame
-/// @param earlier      how many of them came before the sweep
+/// @param seconds      of each key frame after the sweep; infinite if that is not known
 Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
            const std::vector<const KeyFrame*>& key_frames, const std::vector<Pose>& T_world_key,
-           int threads, std::size_t earlier = 0);
+           const std::vector<double>& seconds, int threads);
 
 }  // namespace docdepth

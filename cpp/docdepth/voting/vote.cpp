@@ -102,46 +102,56 @@ class Batch {
   std::int32_t pixels_[QueryPoints::kMax];
 };
 
-/// What key frames, one after the other, found at a place.
-constexpr std::uint16_t kNothing = 0, kFree = 1, kOccupied = 2, kLeft = 3, kInTurn = 4;
-
-inline std::uint16_t after_free(std::uint16_t stay) {
-  return stay == kOccupied ? kLeft : stay == kNothing ? kFree : stay;
-}
-inline std::uint16_t after_occupied(std::uint16_t stay) {
-  return stay <= kOccupied ? kOccupied : kInTurn;
-}
+/// No road user is where another one was so soon before [s]: not even in dense traffic.
+constexpr double kMinHeadway = 1;
 
 /// The votes on points so far, and what they say in order of time.
 struct Tally {
-  std::vector<std::uint16_t> statics, dynamics, seen_statics, seen_dynamics, stays, first, last;
+  std::vector<std::uint16_t> statics, dynamics, seen_statics, seen_dynamics, first, last;
+  std::vector<std::uint8_t> was_occupied, was_left;  ///< was_left: free since it was occupied
+  std::vector<std::uint8_t> in_turn, porous;
+  std::vector<float> time;  ///< when it was occupied last [s after the sweep]
 
   explicit Tally(std::size_t count)
       : statics(count),
         dynamics(count),
         seen_statics(count),
         seen_dynamics(count),
-        stays(count),
         first(count, Votes::kNever),
-        last(count, Votes::kNever) {}
+        last(count, Votes::kNever),
+        was_occupied(count),
+        was_left(count),
+        in_turn(count),
+        porous(count),
+        time(count) {}
 
   /// Take note of the votes of a key frame on [begin, end).
-  void note(std::size_t begin, std::size_t end, std::uint16_t key_frame) {
+  /// @param seconds  of it, after the sweep
+  void note(std::size_t begin, std::size_t end, std::uint16_t key_frame, float seconds) {
     for (std::size_t i = begin; i < end; ++i) {
       const bool occupied = statics[i] != seen_statics[i], free = dynamics[i] != seen_dynamics[i];
       seen_statics[i] = statics[i];
       seen_dynamics[i] = dynamics[i];
       if (occupied) {
-        stays[i] = after_occupied(stays[i]);
+        note_occupied(i, seconds);
+        if (first[i] == Votes::kNever) first[i] = key_frame;
         last[i] = key_frame;
       }
-      if (occupied && first[i] == Votes::kNever) first[i] = key_frame;
-      if (free) stays[i] = after_free(stays[i]);
+      was_left[i] |= free & was_occupied[i];
     }
   }
   /// The sweep itself found all its points occupied.
   void note_sweep(std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) stays[i] = after_occupied(stays[i]);
+    for (std::size_t i = begin; i < end; ++i) note_occupied(i, 0);
+  }
+
+ private:
+  void note_occupied(std::size_t i, float seconds) {
+    in_turn[i] |= was_left[i];
+    porous[i] |= was_left[i] & (seconds - time[i] <= float(kMinHeadway));
+    was_occupied[i] = 1;
+    was_left[i] = 0;
+    time[i] = seconds;
   }
 };
 
@@ -149,13 +159,18 @@ struct Tally {
 
 Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
            const std::vector<const KeyFrame*>& key_frames, const std::vector<Pose>& T_world_key,
-           int threads, std::size_t earlier) {
-  if (key_frames.size() != T_world_key.size())
-    throw std::invalid_argument("vote needs one pose for each key frame");
+           const std::vector<double>& seconds, int threads) {
+  if (key_frames.size() != T_world_key.size() || key_frames.size() != seconds.size())
+    throw std::invalid_argument("vote needs one pose and one time for each key frame");
   const auto count = static_cast<std::size_t>(points.rows());
-  Votes votes{std::vector<std::uint16_t>(count), std::vector<std::uint16_t>(count),
-              std::vector<std::uint8_t>(count), std::vector<std::uint16_t>(count, Votes::kNever),
+  Votes votes{std::vector<std::uint16_t>(count),
+              std::vector<std::uint16_t>(count),
+              std::vector<std::uint8_t>(count),
+              std::vector<std::uint8_t>(count),
+              std::vector<std::uint16_t>(count, Votes::kNever),
               std::vector<std::uint16_t>(count, Votes::kNever)};
+  const auto is_earlier = [](double of) { return of < 0; };
+  const auto earlier = std::size_t(std::count_if(seconds.begin(), seconds.end(), is_earlier));
   std::vector<RigidTransform> T_key_query;
   for (const Pose& pose : T_world_key) T_key_query.emplace_back(between(pose, T_world_lidar));
 
@@ -171,14 +186,16 @@ Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
                   T_key_query[n / batch_count], of_ground);
       if (n == 0) continue;
       last.vote(tally.statics.data(), tally.dynamics.data());
-      if ((n - 1) / batch_count == earlier) tally.note_sweep(last.begin(), last.end());
-      tally.note(last.begin(), last.end(), std::uint16_t((n - 1) / batch_count));
+      const std::size_t k = (n - 1) / batch_count;
+      if (k == earlier) tally.note_sweep(last.begin(), last.end());
+      tally.note(last.begin(), last.end(), std::uint16_t(k), float(seconds[k]));
     }
     if (earlier >= key_frames.size()) tally.note_sweep(0, query.size());
     for (std::size_t i = 0; i < query.size(); ++i) {
       votes.statics[query.index[i]] = tally.statics[i];
       votes.dynamics[query.index[i]] = tally.dynamics[i];
-      votes.occupied_once[query.index[i]] = tally.dynamics[i] > 0 && tally.stays[i] != kInTurn;
+      votes.occupied_once[query.index[i]] = tally.dynamics[i] > 0 && !tally.in_turn[i];
+      votes.porous[query.index[i]] = tally.porous[i];
       votes.first_occupied[query.index[i]] = tally.first[i];
       votes.last_occupied[query.index[i]] = tally.last[i];
     }

@@ -14,7 +14,7 @@ namespace {
 /// 12 m to the right, behind it a wall at 20 m.
 struct Scan {
   Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor> points;
-  std::vector<std::uint8_t> ground, dynamic, free;
+  std::vector<std::uint8_t> ground, dynamic, free, porous;
   std::vector<std::int32_t> first, last;
   std::vector<float> times;
   ScanMesh mesh;
@@ -34,6 +34,7 @@ struct Scan {
         ground.push_back(low);
         dynamic.push_back(x == 8 && !low && column > 30);
         free.push_back(x == 12 && !low);
+        porous.push_back(x == 8 && !low && column > 35);
         first.push_back(x == 12 ? 7 : 0);
         last.push_back(x == 12 ? 30 + (column & 1) : 99);
         times.push_back(x == 8 ? 0.02f : -0.01f);
@@ -51,7 +52,7 @@ struct Scan {
   Detections detect(const Pose& T_world_lidar = Pose::Identity()) const {
     return detect_objects(points,
                           {as_bool(ground), objects.data(), as_bool(dynamic), as_bool(free),
-                           first.data(), last.data(), times.data()},
+                           as_bool(porous), first.data(), last.data(), times.data()},
                           mesh, T_world_lidar);
   }
 };
@@ -79,6 +80,8 @@ TEST_CASE("each board is an object, with what is known of its points") {
   CHECK(far.is_transient());
   CHECK(far.free_area == doctest::Approx(far.area));
   CHECK(near.dynamic_area / near.area == doctest::Approx(10 / 21.0).epsilon(0.05));
+  CHECK(near.porous_area / near.area == doctest::Approx(5 / 21.0).epsilon(0.05));
+  CHECK(far.porous_area == 0);
   CHECK(far.range() == doctest::Approx(12.6).epsilon(0.05));
   CHECK(near.time_offset == doctest::Approx(0.02f));
   CHECK(far.first_occupied == 7);

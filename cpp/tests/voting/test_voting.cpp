@@ -34,7 +34,8 @@ std::array<int, 2> votes_of_mesh(const Cloud& sweep, float distance) {
   Cloud point(1, 3);
   point << distance, 0.001f, 0.001f;
   const bool ground = false;
-  const Votes votes = vote(point, &ground, Pose::Identity(), {&image}, {Pose::Identity()}, 1);
+  const Votes votes =
+      vote(point, &ground, Pose::Identity(), {&image}, {Pose::Identity()}, {0.0}, 1);
   return {votes.statics[0], votes.dynamics[0]};
 }
 
@@ -47,7 +48,8 @@ std::array<int, 2> votes_of_wall(float distance, bool wall_is_ground) {
   Cloud point(1, 3);
   point << distance, 0.02f, 0.02f;
   const bool ground = false;
-  const Votes votes = vote(point, &ground, Pose::Identity(), {&image}, {Pose::Identity()}, 1);
+  const Votes votes =
+      vote(point, &ground, Pose::Identity(), {&image}, {Pose::Identity()}, {0.0}, 1);
   return {votes.statics[0], votes.dynamics[0]};
 }
 
@@ -131,7 +133,7 @@ TEST_CASE("votes are those of the plain loop, also at ties and very near or far"
         const RangeImage image(sweep, ground.get(), {0.0035, 5, tolerance});
         const PlainImage plain(sweep, ground.get(), 0.0035, tolerance);
         const Votes votes =
-            vote(points, ground.get(), Pose::Identity(), {&image}, {Pose::Identity()}, 1);
+            vote(points, ground.get(), Pose::Identity(), {&image}, {Pose::Identity()}, {0.0}, 1);
         int wrong = 0;
         for (Eigen::Index i = 0; i < points.rows(); ++i) {
           const int expected = ground[std::size_t(i)] ? 0 : plain.vote(points.row(i));

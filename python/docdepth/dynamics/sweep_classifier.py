@@ -43,13 +43,13 @@ class Evidence(NamedTuple):
     labels : Labels
     objects : ndarray of uint32, shape (N,)
         From :func:`docdepth.dynamics.classes.cluster_objects`.
-    occupied_once : ndarray of bool, shape (N,)
+    porous : ndarray of bool, shape (N,)
         Of :class:`docdepth.dynamics.voting.OccupancyIntervals`.
     """
 
     labels: Labels
     objects: NDArray[np.uint32]
-    occupied_once: NDArray[np.bool_]
+    porous: NDArray[np.bool_]
 
 
 class SweepStore(Protocol):
@@ -190,7 +190,8 @@ class SweepClassifier:
     ) -> Future[None]:
         """Let key frames vote on a sweep, in one thread, and hand the result to the store."""
         (frame, mesh), voters = meshed, self._key_frames[index]
-        points, ground, poses = frame.points, frame.ground, self._trajectory.poses
+        points, ground = frame.points, frame.ground
+        poses, times = self._trajectory.poses, self._trajectory.times
         with self._timer("vote"):
             votes = voting.vote(
                 points,
@@ -199,7 +200,7 @@ class SweepClassifier:
                 key_frames,
                 poses[voters],
                 threads=1,
-                earlier=int(np.searchsorted(voters, index)),
+                seconds=(times[voters] - times[index]) * 1e-9,
             )
         if not self.uses_tracks:
             with self._timer("objects"):
@@ -222,7 +223,7 @@ class SweepClassifier:
                 frame.time_offset,
             )
         kept = Labels(classid, Votes(votes.static, votes.dynamic))
-        evidence = Evidence(kept, objects, occupancy.occupied_once)
+        evidence = Evidence(kept, objects, occupancy.porous)
         return writers.submit(store.store_evidence, index, evidence, detections)
 
     def track(
@@ -255,7 +256,7 @@ class SweepClassifier:
         def add(index: int) -> None:
             # The sweep is read once more, since tracks are known when all sweeps have voted and a
             # drive may not fit into memory.
-            frame, (labels, objects, occupied_once) = store.read(index), store.evidence(index)
+            frame, (labels, objects, porous) = store.read(index), store.evidence(index)
             found, votes = tracked[index], labels.votes
             classid, instance = labels.classid, np.zeros(len(objects), np.uint16)
             if found:
@@ -264,7 +265,9 @@ class SweepClassifier:
                     frame.points, objects, votes, classid, found, pose, voted
                 )
             untracked = (classid >= DYNAMIC) & (instance == 0)
-            classid = withdraw_untracked(classid, untracked, frame.ground, objects, occupied_once)
+            classid = withdraw_untracked(
+                classid, untracked, frame.ground, frame.points, votes.dynamic > 0, porous
+            )
             store.write(index, frame, Labels(classid, votes, instance))
 
         with ThreadPoolExecutor(_FILE_THREADS) as pool:

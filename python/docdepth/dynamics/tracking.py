@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 from collections.abc import Callable
 from typing import NamedTuple
@@ -50,12 +51,11 @@ BOX_MARGIN = 0.5
 _PAIRS = 200_000
 """So many pairs of a point and a box are compared at once: where all moves, there are millions."""
 
-MIN_TRACKED_POINTS = 10
-"""Objects of fewer points are not tracked; as in the core."""
+MAX_POROUS_SHARE = 0.2
+"""Where more of the places that were found free are porous, what no track follows stands [-]."""
 
-MIN_OCCUPIED_ONCE = 0.05
-"""Share of an object that moves whose place was occupied once, and free before or after [-]:
-little, since in a queue others stood in the same places."""
+_CELL = 2.0
+"""What is around a point is told by cells of this edge, its own and those beside it [m]."""
 
 _MEMBER = np.dtype([("first", "u4"), ("track", "u4"), ("is_dynamic", "u4")])
 _BOX = np.dtype(
@@ -247,15 +247,15 @@ def withdraw_untracked(
     classid: NDArray[np.uint16],
     untracked: NDArray[np.bool_],
     ground: NDArray[np.bool_],
-    objects: NDArray[np.uint32],
-    occupied_once: NDArray[np.bool_],
+    points: NDArray[np.float32],
+    free: NDArray[np.bool_],
+    porous: NDArray[np.bool_],
 ) -> NDArray[np.uint16]:
-    """Make points static again that are dynamic by votes alone, and were free and occupied in turn.
+    """Make points static again that no track follows, and that lie among porous things.
 
-    Of what moves, places are free before and after, and occupied once; fences and twigs are found
-    free and occupied in turn. So the dynamic points of an object stay so if most of their places
-    were occupied once. In a queue others stood in the same places: where most of an object that is
-    large enough to be tracked is dynamic, a few are enough.
+    Rays hit and pass fences and twigs in turn, and each sweep hits other parts of them, of which
+    some seem to have been free. What is around these tells: where many places that were found free
+    are porous, a point that seems to move is none that moves.
 
     Parameters
     ----------
@@ -264,23 +264,42 @@ def withdraw_untracked(
     untracked : ndarray of bool, shape (N,)
         Dynamic points of no track.
     ground : ndarray of bool, shape (N,)
-    objects : ndarray of uint32, shape (N,)
-        From :func:`cluster_objects`.
-    occupied_once : ndarray of bool, shape (N,)
+    points : ndarray of float32, shape (N, 3)
+        The deskewed sweep, LiDAR frame, metres.
+    free : ndarray of bool, shape (N,)
+        Whether a key frame found the place free.
+    porous : ndarray of bool, shape (N,)
         Of :class:`docdepth.dynamics.voting.OccupancyIntervals`.
 
     Returns
     -------
     ndarray of uint16, shape (N,)
     """
-    count = len(objects)
-    size = np.bincount(objects, minlength=count)
-    found = np.bincount(objects[untracked], minlength=count)
-    once = np.bincount(objects[untracked & occupied_once], minlength=count)
-    is_whole = (size >= MIN_TRACKED_POINTS) & (2 * found >= size)
-    moves = (2 * once >= found) | (is_whole & (once >= MIN_OCCUPIED_ONCE * found))
-    fixed = np.where(ground, np.uint16(GROUND), np.uint16(STATIC))
-    return np.where(untracked & ~moves[objects], fixed, classid)
+    cells, cell = np.unique(_cell_keys(points[~ground & free]), return_inverse=True)
+    counts = np.stack(
+        [
+            np.bincount(cell, minlength=len(cells)),
+            np.bincount(cell, porous[~ground & free], minlength=len(cells)),
+        ]
+    )
+    rows = np.flatnonzero(untracked)
+    around = np.zeros((2, len(rows)))
+    if len(cells):
+        here = _cell_keys(points[rows])
+        for step in itertools.product((-1, 0, 1), repeat=3):
+            there = here + _cell_keys(np.array([step], np.float32) * _CELL)
+            at = np.minimum(np.searchsorted(cells, there), len(cells) - 1)
+            around += np.where(cells[at] == there, counts[:, at], 0)
+    stands = rows[around[1] > MAX_POROUS_SHARE * around[0]]
+    classid = classid.copy()
+    classid[stands] = np.where(ground[stands], GROUND, STATIC)
+    return classid
+
+
+def _cell_keys(points: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Numbers of the cells of points; those of steps between cells can be added to them."""
+    x, y, z = np.floor(points / _CELL).astype(np.int64).T
+    return (x * 2**20 + y) * 2**20 + z
 
 
 def _instances(

@@ -29,6 +29,9 @@ class OccupancyIntervals(NamedTuple):
         The place was free at some time, and was occupied in one stretch of time only, around the
         sweep: something arrived there, left or passed. Twigs and fences are found free and occupied
         in turn.
+    porous : ndarray of bool, shape (N,)
+        The place was occupied, free, and occupied again within a second. Road users keep a
+        longer distance from each other.
     first, last : ndarray of uint16 or int32, shape (N,)
         The first and the last that found the place occupied: of votes the number of the key frame
         among those that voted, :data:`NEVER` if none did; of
@@ -36,6 +39,7 @@ class OccupancyIntervals(NamedTuple):
     """
 
     occupied_once: NDArray[np.bool_]
+    porous: NDArray[np.bool_]
     first: NDArray[Any]
     last: NDArray[Any]
 
@@ -68,11 +72,11 @@ class Votes(ShortRepr):
         """
         if self.occupancy is None:
             raise InputError("tracking needs votes with their order; vote again")
-        once, first, last = self.occupancy.occupied_once, self.occupancy.first, self.occupancy.last
+        once, porous, first, last = self.occupancy
         index = np.full(NEVER + 1, sweep, np.int32)
         index[: len(key_frames)] = key_frames
         first = np.minimum(index[first], sweep, dtype=np.int32)
-        return OccupancyIntervals(once, first, np.maximum(index[last], sweep))
+        return OccupancyIntervals(once, porous, first, np.maximum(index[last], sweep))
 
 
 class KeyFrame:
@@ -125,7 +129,7 @@ def vote(
     key_frames: Sequence[KeyFrame],
     poses: NDArray[np.float64],
     threads: int = 0,
-    earlier: int = 0,
+    seconds: NDArray[np.float64] | None = None,
 ) -> Votes:
     """Let key frames vote on every point of a sweep (Algorithm 1).
 
@@ -146,8 +150,9 @@ def vote(
         ``T_world_lidar`` of each key frame.
     threads : int
         0 for all cores. The votes do not depend on it.
-    earlier : int
-        How many of the key frames came before the sweep.
+    seconds : ndarray of float64, shape (k,), optional
+        How long after the sweep each key frame was measured; negative before it. Absent if that is
+        not known; then no place is porous.
 
     Returns
     -------
@@ -159,18 +164,22 @@ def vote(
         for core, T_lidar_sensor in frame._views
     ]
     views = [len(frame._views) for frame in key_frames]
-    static, dynamic, once, first, last = _core.vote(
+    if seconds is None:
+        seconds = np.full(len(views), np.inf)
+    static, dynamic, once, porous, first, last = _core.vote(
         points,
         ground,
         T_world_lidar,
         [core for core, _ in voters],
         np.array([T for _, T in voters]).reshape(-1, 4, 4),
+        np.repeat(seconds, views).tolist(),
         threads,
-        sum(views[:earlier]),
     )
     number = np.full(NEVER + 1, NEVER, np.uint16)
     number[: sum(views)] = np.repeat(np.arange(len(views)), views)
-    occupancy = OccupancyIntervals(once.view(np.bool_), number[first], number[last])
+    occupancy = OccupancyIntervals(
+        once.view(np.bool_), porous.view(np.bool_), number[first], number[last]
+    )
     return Votes(static, dynamic, occupancy)
 
 

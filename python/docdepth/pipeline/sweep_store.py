@@ -31,7 +31,7 @@ EVIDENCE, GROUND, TRACKING = "evidence", "ground", "tracks"
 """Folders in the state of a run with a file for each sweep: an interrupted stage goes on with them.
 Ground and tracks stay when it is done, so that single frames are classified again."""
 
-_OF_EVIDENCE = ("objects", "votes_static", "votes_dynamic", "classid", "occupied_once")
+_OF_EVIDENCE = ("objects", "votes_static", "votes_dynamic", "classid", "porous")
 _OF_DETECTIONS = ("rows", "samples", "borders")
 """Arrays of a file of evidence."""
 
@@ -184,11 +184,11 @@ class FrameStore:
 
     def store_evidence(self, index: int, evidence: Evidence, detections: _core.Detections) -> None:
         self._hold(index, detections)
-        labels, objects, once = evidence
+        labels, objects, porous = evidence
         of_evidence = objects, labels.votes.static, labels.votes.dynamic, labels.classid
         named = zip(
             (*_OF_EVIDENCE, *_OF_DETECTIONS),
-            (*of_evidence, np.packbits(once), *detections.arrays),
+            (*of_evidence, np.packbits(porous), *detections.arrays),
             strict=True,
         )
         with self.timer("write"):
@@ -199,8 +199,8 @@ class FrameStore:
             objects, static, dynamic, classid, packed = read_kept_arrays(
                 self.evidence_file(index), *_OF_EVIDENCE
             )
-        once = np.unpackbits(packed, count=len(objects)).view(np.bool_)
-        return Evidence(Labels(classid, Votes(static, dynamic)), objects, once)
+        porous = np.unpackbits(packed, count=len(objects)).view(np.bool_)
+        return Evidence(Labels(classid, Votes(static, dynamic)), objects, porous)
 
     def detections(self, index: int) -> _core.Detections:
         with self._keeping:
