@@ -275,13 +275,9 @@ def withdraw_untracked(
     -------
     ndarray of uint16, shape (N,)
     """
-    cells, cell = np.unique(_cell_keys(points[~ground & free]), return_inverse=True)
-    counts = np.stack(
-        [
-            np.bincount(cell, minlength=len(cells)),
-            np.bincount(cell, porous[~ground & free], minlength=len(cells)),
-        ]
-    )
+    left = ~ground & free
+    cells, cell = np.unique(_cell_keys(points[left]), return_inverse=True)
+    counts = np.stack([np.bincount(cell, w, minlength=len(cells)) for w in (None, porous[left])])
     rows = np.flatnonzero(untracked)
     around = np.zeros((2, len(rows)))
     if len(cells):

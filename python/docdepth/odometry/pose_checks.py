@@ -26,7 +26,7 @@ _BEFORE = 3  # sweeps before each, as one map: a rosette sees other parts in eac
 _SAMPLING = 0.5  # metres, edge of a voxel in which a cloud keeps one point
 # Metres by which sweeps move when they are aligned with those before. Median of right poses: 0.003
 # to 0.08, the most of a rosette; without motion, inverse, at half the scale or shuffled: 0.36 to 4.
-_MISFIT = 0.25
+MISFIT = 0.25
 # Places of a drive where its poses are compared with points higher than any lorry. Three that have
 # such points are enough.
 _PLACES, _ENOUGH = 12, 3
@@ -168,7 +168,7 @@ def find_misfit(
 ) -> list[Finding]:
     """Whether sweeps lie elsewhere than the sweeps before them, and the poses, say."""
     moved = misfit(points, poses, parameters)
-    if moved is None or moved <= _MISFIT:
+    if moved is None or moved <= MISFIT:
         return []
     text = (
         f"the poses do not fit the sweeps: these lie {moved:.1f} m from where the sweeps before "

@@ -17,7 +17,7 @@ from docdepth.errors import Finding
 from docdepth.geometry.se3 import nearest_rotation
 from docdepth.odometry.deskewing import centred_motion
 from docdepth.odometry.passes import register
-from docdepth.odometry.pose_checks import misfit
+from docdepth.odometry.pose_checks import MISFIT, misfit
 from docdepth.odometry.registration_log import RegistrationLog
 from docdepth.odometry.smoothing import smoothed
 from docdepth.odometry.sweeps import ThinnedSweeps, deskewed_points
@@ -27,19 +27,20 @@ _APART = 10  # sweeps between those that are compared
 # 0.002 to 0.021 by five sensors; of two SLAMs 0.03 and 0.05. With noise of 5 cm 0.06 to 0.1, with
 # 0.1 degrees 0.03 to 0.17, by GPS and IMU 0.16.
 _POOR = 0.06
-_WRONG = 0.25  # metres; so poor poses may be of another frame or order
 _BETTER = 0.5  # of the misfit; refined poses that fit little better are not taken
 
 
-def misfit_of(
-    sweeps: ThinnedSweeps, poses: NDArray[np.float64], parameters: OdometryParameters
+def _misfit_of(
+    sweeps: ThinnedSweeps,
+    poses: NDArray[np.float64],
+    parameters: OdometryParameters,
+    apart: int,
 ) -> float | None:
-    """How far points lie from where the sweeps ten before them, and the poses, say [m]."""
+    """How far points lie from where sweeps so many before them, and the poses, say [m]."""
 
     def points(k: int) -> NDArray[np.float32]:
         return deskewed_points(sweeps[k], k, centred_motion(poses, sweeps.times, [k])[0])
 
-    apart = min(_APART, max(1, len(poses) // 3))
     return misfit(points, poses, parameters, apart)
 
 
@@ -56,7 +57,8 @@ def refine_poor(
     sweep from where they say that it lies. The result is laid on them as a whole: the world stays
     where it was given.
     """
-    before = misfit_of(sweeps, poses, parameters)
+    apart = min(_APART, max(1, len(poses) // 3))
+    before = _misfit_of(sweeps, poses, parameters, apart)
     if before is None or before <= _POOR:
         return poses, []
     found: list[Finding] = []
@@ -70,27 +72,21 @@ def refine_poor(
         states = register(sweeps, parameters, first, known, threads, log, found)
         path = np.stack(list(smoothed(states)))
     refined = _laid_on(poses, path)
-    after = misfit_of(sweeps, refined, parameters)
+    after = _misfit_of(sweeps, refined, parameters, apart)
     misfits = (
-        f"the poses do not fit the sweeps: points lie {before:.2f} m from where they were ten "
+        f"the poses do not fit the sweeps: points lie {before:.2f} m from where they were {apart} "
         "sweeps before"
     )
     if found or after is None or after > min(_POOR, _BETTER * before):
         text = f"{misfits}; registration finds no poses that fit, so these are kept"
-        return poses, [
-            Finding(
-                "poor-poses",
-                "",
-                text,
-                "labels and depth may be wrong; bring others, or none (`poses`)",
-            )
-        ]
+        remedy = "labels and depth may be wrong; bring others, or none (`poses`)"
+        return poses, [Finding("poor-poses", "", text, remedy)]
     moved = np.linalg.norm((refined - poses)[:, :3, 3], axis=1).max()
     text = (
         f"{misfits}; after registration {after:.2f} m. The poses have moved by up to {moved:.2f} m"
     )
     remedy = "`poses_as_given=True` takes them as they are"
-    severity: Literal["warning", "note"] = "warning" if before > _WRONG else "note"
+    severity: Literal["warning", "note"] = "warning" if before > MISFIT else "note"
     return refined, [Finding("poses-refined", "", text, remedy, severity)]
 
 
