@@ -41,7 +41,7 @@ ROW = np.dtype(
     [(name, "u4") for name in ("first", "points", "dynamic_points", "samples", "edges", "hidden")]
     + [(f"{which}_occupied", "i4") for which in ("first", "last")]
     + [(f"stands_{which}", "i4") for which in ("since", "until")]
-    + [(f"{which}area", "f4") for which in ("", "dynamic_", "free_")]
+    + [(f"{which}area", "f4") for which in ("", "dynamic_", "free_", "porous_")]
     + [("time_offset", "f4"), ("middle", "f4", (3,))]
     + [("ground_height", "f4"), ("ground_deviation", "f4")]
     + [("low", "f4", (3,)), ("high", "f4", (3,))]
