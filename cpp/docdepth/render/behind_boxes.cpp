@@ -20,6 +20,8 @@ constexpr float kBoxMargin = 0.05f;
 constexpr int kWayCell = 2;
 /// The way through the box is looked at in so many places at most.
 constexpr int kMostPlaces = 8;
+/// Rays beyond kShutter count, too, while the object goes no farther than this [m].
+constexpr float kMostTravel = 1.0f;
 
 /// Depths between which a ray of the camera is inside a box; none if `leave` is not more.
 struct Inside {
@@ -36,6 +38,7 @@ class SeenBox {
         high_(box.size.x() / 2 + kBoxMargin, box.size.y() / 2 + kBoxMargin,
               box.size.z() + kBoxMargin),
         velocity_(box.velocity),
+        within_(std::max(kShutter, kMostTravel / box.velocity.norm())),
         bounds_(bounds_of(camera, box.T_camera_box, {(low_ + high_) / 2, (high_ - low_) / 2})) {
     const Pose T = box.T_camera_box.inverse();
     rotation_ = T.linear().cast<float>();
@@ -43,6 +46,7 @@ class SeenBox {
   }
 
   const PixelBounds& bounds() const { return bounds_; }
+  float within() const { return within_; }  ///< time between rays that count and the image [s]
 
   /// @param ray  of the camera, with a depth of 1
   Inside inside(const Vector& ray) const {
@@ -64,7 +68,7 @@ class SeenBox {
     const int places = std::max(int(std::ceil(apart)), 1);
     for (int k = 0; k < places; ++k) {
       const float depth = enter + (leave - enter) * (float(k) + 0.5f) / float(places);
-      const QuadrantRays corners = rays.around({ray * depth, Kind::kStatic, velocity_});
+      const QuadrantRays corners = rays.around({ray * depth, Kind::kStatic, velocity_, within_});
       // Where a ray ended on what stands still, that is there and not the object.
       if (count(corners, {Verdict::kPassed, Verdict::kEnded}) < int(corners.size())) return false;
     }
@@ -73,6 +77,7 @@ class SeenBox {
 
  private:
   Vector low_, high_, velocity_;
+  float within_;
   PixelBounds bounds_;
   Eigen::Matrix3f rotation_;
   Vector start_;
@@ -114,7 +119,8 @@ class BoxBackground {
 
   bool ended(const Vector& ray, float depth, CachedAnswer& cached) const {
     if (!(std::fabs(depth - cached.depth) < kSurfaceMargin)) {
-      const QuadrantRays corners = rays_.around({ray * depth, Kind::kStatic});
+      const QuadrantRays corners =
+          rays_.around({ray * depth, Kind::kStatic, Vector::Zero(), box_.within()});
       cached = {depth, count(corners, {Verdict::kEnded}) >= kMinEnded};
     }
     return cached.ended;

@@ -26,7 +26,7 @@ constexpr float kSurfaceMarginGrowth = 0.03f;
 constexpr float kRayBlur = 0.02f;
 
 /// Rays at most this long before or after the shutter look at what the image shows [s]: a sweep of
-/// a common LiDAR.
+/// a common LiDAR. Past an object that stands or goes slowly they do for longer.
 constexpr float kShutter = 0.1f;
 /// Behind the box of an object a point was seen if so many of the nearest rays around it, one in
 /// each quadrant of direction, ended there. Beside a straight edge of the object two do.

@@ -8,6 +8,7 @@
 
 #include "docdepth/geometry/rigid.hpp"
 #include "docdepth/geometry/simd.hpp"
+#include "docdepth/render/shutter_rays.hpp"
 
 namespace docdepth {
 namespace {
@@ -390,12 +391,19 @@ void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const
       extrapolated.push_back({u, v, {depths[1]}});
   }
   found = queries.score(extrapolated, 0);
+  const ShutterRays around(rays);
+  const auto passed_all_around = [&](const PixelHypotheses& pixel) {
+    const auto u = float(pixel.u + columns.begin), v = float(pixel.v);
+    const QuadrantRays corners =
+        around.around({ray_of(camera, u, v) / pixel.hypotheses[0], Kind::kMoving});
+    return count(corners, {Verdict::kPassed}) == int(corners.size());
+  };
   for (std::size_t i = 0; i < extrapolated.size(); ++i) {
     const std::size_t at = columns.at(extrapolated[i].u, extrapolated[i].v);
     if (found[i] > kContinuedScore) {
       inverse_depth[at] = extrapolated[i].hypotheses[0];
       shown_objects[at] = number;
-    } else if (found[i] > -kUnsureScore) {
+    } else if (found[i] > -kUnsureScore && !passed_all_around(extrapolated[i])) {
       inverse_depth[at] = 0;
       shown_objects[at] = 0;
     }

@@ -33,16 +33,14 @@ class ShutterRays::Sweep {
   explicit Sweep(const SweepRays& placed)
       : cells_(placed.rays->cells()),
         T_rays_camera_(placed.T_camera_rays.inverse()),
-        first_(placed.age - kShutter),
-        last_(placed.age + kShutter),
         age_(placed.age),
-        reach_(kNearRays * cells_.spacing() / kRadiansPerUnit) {}
-
-  /// Whether any ray is left.
-  bool any() const {
-    return std::any_of(cells_.time.begin(), cells_.time.end(),
-                       [&](float time) { return time >= first_ && time <= last_; });
+        reach_(kNearRays * cells_.spacing() / kRadiansPerUnit) {
+    if (!std::isfinite(age_)) return;
+    for (const float time : cells_.time) soonest_ = std::min(soonest_, std::fabs(time - age_));
   }
+
+  /// Whether any ray was measured within a time of the image [s].
+  bool any(float within) const { return soonest_ <= within; }
 
   bool on_plane(const Vector& plane, const Vector& target) const {
     const Vector point = T_rays_camera_ * target;
@@ -56,8 +54,9 @@ class ShutterRays::Sweep {
   }
 
   DOCDEPTH_KERNEL void find(const Place& place, std::size_t number, QuadrantRays& corners) const {
+    if (!any(place.within)) return;
     const bool moves = !place.velocity.isZero(0);
-    Target to = target(place.point, place.kind, number);
+    Target to = target(place.point, place, number);
     if (!to.in_range()) return;
     float azimuth = to.azimuth, elevation = to.elevation;
     // Rays start beside the origin, so those that pass the place have other directions. And they
@@ -66,7 +65,7 @@ class ShutterRays::Sweep {
       const std::int64_t near = any_ray(azimuth, elevation);
       if (near < 0) break;
       if (moves)
-        to = target(place.point + place.velocity * (cells_.time[near] - age_), place.kind, number);
+        to = target(place.point + place.velocity * (cells_.time[near] - age_), place, number);
       if (!to.in_range()) return;
       const float inverse_range = 1 / to.range;
       azimuth = to.azimuth - cells_.left[near] * inverse_range / to.cosine;
@@ -86,15 +85,17 @@ class ShutterRays::Sweep {
     Vector point;
     float azimuth, elevation, range, cosine;
     Kind kind;
+    float within;  // [s]
     std::size_t sweep;
 
     DOCDEPTH_KERNEL bool in_range() const { return range > 0 && range < kMaxRange; }
   };
 
-  DOCDEPTH_KERNEL Target target(const Vector& point, Kind kind, std::size_t number) const {
+  DOCDEPTH_KERNEL Target target(const Vector& point, const Place& place, std::size_t number) const {
     const Vector p = T_rays_camera_ * point;
     const float across = std::sqrt(p.x() * p.x() + p.y() * p.y());
-    Target to{p, 0, 0, std::sqrt(across * across + p.z() * p.z()), 1, kind, number};
+    Target to{p,     0, 0, std::sqrt(across * across + p.z() * p.z()), 1, place.kind, place.within,
+              number};
     if (!to.in_range()) return to;
     const Direction direction = direction_of(p.x(), p.y(), p.z());
     to.azimuth = float(direction.azimuth);
@@ -148,7 +149,7 @@ class ShutterRays::Sweep {
   DOCDEPTH_KERNEL void take(const Target& to, std::uint32_t i, float u, float v, float squared,
                             QuadrantRays& corners) const {
     QuadrantRay& corner = corners[(u > 0) + 2 * (v > 0)];
-    if (!(squared < corner.squared) || cells_.time[i] < first_ || cells_.time[i] > last_) return;
+    if (!(squared < corner.squared) || std::fabs(cells_.time[i] - age_) > to.within) return;
     const Rays::End& end = cells_.ends[i];
     const bool same_kind = to.kind == Kind::kAny || Kind(cells_.moving[i]) == to.kind;
     corner = {squared, end.range * (1 / to.range), verdict_of(end, same_kind, to.point, to.range),
@@ -181,9 +182,9 @@ class ShutterRays::Sweep {
 
   const Rays::Cells& cells_;
   RigidTransform T_rays_camera_;
-  float first_, last_;  // times of rays [s after the stamp]
-  float age_;           // of the image [s after the stamp]
-  float reach_;         // [units]
+  float age_;                                               // of the image [s after the stamp]
+  float reach_;                                             // [units]
+  float soonest_ = std::numeric_limits<float>::infinity();  // from a ray to the image [s]
 };
 
 struct ShutterRays::FindRays {
@@ -194,10 +195,7 @@ struct ShutterRays::FindRays {
 };
 
 ShutterRays::ShutterRays(const std::vector<SweepRays>& rays) {
-  for (const SweepRays& placed : rays) {
-    sweeps_.emplace_back(placed);
-    if (!sweeps_.back().any()) sweeps_.pop_back();
-  }
+  for (const SweepRays& placed : rays) sweeps_.emplace_back(placed);
 }
 
 ShutterRays::ShutterRays(ShutterRays&&) noexcept = default;

@@ -23,6 +23,7 @@ struct Place {
   Eigen::Vector3f point;
   Kind kind;  ///< rays that ended on others tell only of the space that they passed
   Eigen::Vector3f velocity = Eigen::Vector3f::Zero();  ///< rays saw it where it was then [m/s]
+  float within = kShutter;  ///< rays count that were measured so long before or after the image [s]
 };
 
 /// What the nearest ray of a quadrant says of a place.
@@ -38,7 +39,7 @@ using QuadrantRays = std::array<QuadrantRay, 4>;
 /// How many of the nearest rays say one of these.
 int count(const QuadrantRays& corners, std::initializer_list<Verdict> verdicts);
 
-/// All rays within kShutter of the image.
+/// The rays of the sweeps around the image.
 class ShutterRays {
  public:
   explicit ShutterRays(const std::vector<SweepRays>& rays);

@@ -250,7 +250,9 @@ TEST_CASE("an object goes on where rays met it close by, and other sweeps add wh
   CHECK(std::isnan(middle({}, kContinued)));
   CHECK(middle({{&passed, T}}, kContinued) == doctest::Approx(10));
   CHECK(middle({{&passed, T, shaky}}, kContinued) == doctest::Approx(10));
-  CHECK(std::isnan(middle({{&aside, T, shaky}}, kContinued)));
+  // No ray passed close, but those around did, in each quadrant.
+  CHECK(middle({{&aside, T, shaky}}, kContinued) == doctest::Approx(10));
+  CHECK(std::isnan(middle({{&aside, T, shaky, 2 * kShutter}}, kContinued)));  // long ago
   // One that passed four centimetres aside outweighs one that met six aside.
   CHECK(std::isnan(middle({{&close, T}, {&aside, T}}, kContinued)));
   // What another sweep measured takes more than one ray to doubt, and many to deny.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.geometry.lidar_frame import LidarFrame
-from docdepth.geometry.points import DYNAMIC
+from docdepth.geometry.points import DYNAMIC, STATIC
 from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.track import Track, Tracks
 
@@ -92,15 +92,16 @@ def dynamic_objects(
     """
     points, instance, time_offset = frame.points, frame.instance, frame.time_offset
     tracks = tracks or Tracks()
-    rows = np.flatnonzero(frame.classes >= DYNAMIC)
-    ids = np.zeros(len(rows), np.int64)
-    delay = np.zeros(len(rows)) if time_offset is None else time_offset[rows].astype(np.float64)
     pose = np.eye(4) if T_world_lidar is None else T_world_lidar
+    inside = _inside_boxes(frame, time, pose, tracks)
+    rows = np.flatnonzero((frame.classes >= DYNAMIC) | (inside > 0))
+    ids = inside[rows]
+    delay = np.zeros(len(rows)) if time_offset is None else time_offset[rows].astype(np.float64)
     world = points[rows].astype(np.float64)
     if tracks:
         world = world @ pose[:3, :3].T + pose[:3, 3]
         if instance is not None:
-            known = np.isin(instance[rows], tracks.ids)
+            known = (frame.classes[rows] >= DYNAMIC) & np.isin(instance[rows], tracks.ids)
             ids[known] = instance[rows][known]
         _assign_to_tracks(ids, world, time, tracks)
     instances, number = np.unique(ids, return_inverse=True)
@@ -147,6 +148,31 @@ def _at_time(
         return np.asarray(centre + (world - then))
     turn = rotation_exp(earlier[:, None] * turn_rate)
     return np.asarray(centre + np.einsum("nij,nj->ni", turn, world - then))
+
+
+def _inside_boxes(
+    frame: LidarFrame, time: int, T_world_lidar: NDArray[np.float64], tracks: Tracks
+) -> NDArray[np.int64]:
+    """The track in whose box each point lies that was labelled static, off the ground; else 0, (N,).
+
+    Nothing else is where an object is. A hundredth of the points of a lorry are labelled static.
+    """
+    ids = np.zeros(len(frame.points), np.int64)
+    static = np.flatnonzero((frame.classes >= STATIC) & (frame.classes < DYNAMIC))
+    x, y = frame.points[static, 0], frame.points[static, 1]
+    late = 0.0 if frame.time_offset is None else np.abs(frame.time_offset).max(initial=0)
+    for track in reversed(tracks.between(time, time)):
+        T_object_lidar = inverse(track.pose_at(time)) @ T_world_lidar
+        velocity = T_object_lidar[:3, :3] @ T_world_lidar[:3, :3].T @ track.velocity_at(time)
+        reach = 0.5 * np.linalg.norm(track.size) + late * np.linalg.norm(velocity)
+        middle = inverse(T_object_lidar)[:3, 3]
+        near = static[(np.abs(x - middle[0]) < reach) & (np.abs(y - middle[1]) < reach)]
+        local = frame.points[near] @ T_object_lidar[:3, :3].T + T_object_lidar[:3, 3]
+        if frame.time_offset is not None:
+            local -= frame.time_offset[near, None] * velocity
+        half = 0.5 * track.size
+        ids[near[(np.abs(local - (0, 0, half[2])) <= half).all(axis=1)]] = track.id
+    return ids
 
 
 def _assign_to_tracks(
