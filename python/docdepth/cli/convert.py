@@ -38,7 +38,7 @@ def convert(
             f"Poses: {', '.join(POSE_FORMATS)}. Labels: label (SemanticKITTI), classid (NPY), "
             "pcd (as DynamicMap_Benchmark, the class as intensity). Depth: proj_depth (as KITTI "
             "releases it, OUT/DRIVE/proj_depth/groundtruth/CAMERA). Photos, poses, depth, masks of "
-            "what moves and the static map: nerfstudio, colmap.",
+            "what moves and the static map: nerfstudio, colmap. All of a run as a ROS 2 bag: mcap.",
             **one_of((*POSE_FORMATS, *LABEL_FORMATS, *DEPTH_FORMATS, *EXPORTS)),
         ),
     ],
@@ -56,6 +56,7 @@ def convert(
     docdepth convert RUN labels --to classid
     docdepth convert RUN release --to proj_depth
     docdepth convert RUN scene --to nerfstudio
+    docdepth convert RUN bag --to mcap
     """
     if to in EXPORTS and (camera or dataset):
         raise ConfigError(f"{to} is written of a run and all its cameras: leave the option out")

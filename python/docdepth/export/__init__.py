@@ -1,4 +1,4 @@
-"""A run in the layouts of programs that train on posed images: one module a layout."""
+"""A run in the layouts of other programs: one module a layout."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from pathlib import Path
 from docdepth.concurrency import Progress
 from docdepth.errors import ConfigError
 from docdepth.export.colmap import write_colmap
+from docdepth.export.mcap import write_mcap
 from docdepth.export.nerfstudio import write_nerfstudio
 from docdepth.pipeline.run_reader import Run, open_run
 
 EXPORTS: dict[str, Callable[[Run, Path, Progress | None], int]] = {
     "nerfstudio": write_nerfstudio,
     "colmap": write_colmap,
+    "mcap": write_mcap,
 }
 """What writes each layout; it returns how many images it has written."""
 

@@ -153,7 +153,7 @@ def _at_time(
 def _inside_boxes(
     frame: LidarFrame, time: int, T_world_lidar: NDArray[np.float64], tracks: Tracks
 ) -> NDArray[np.int64]:
-    """The track in whose box each point lies that was labelled static, off the ground; else 0, (N,).
+    """For each static point off the ground the track in whose box it lies, else 0, (N,).
 
     Nothing else is where an object is. A hundredth of the points of a lorry are labelled static.
     """
