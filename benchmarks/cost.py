@@ -1,14 +1,20 @@
-"""Processor and wall time of a whole run by stage, beside KISS-ICP and DUFOMap on the same sweeps.
+"""Cost of a whole run by stage and by what is done, beside KISS-ICP and DUFOMap on the same sweeps.
 
-    python benchmarks/cost.py DRIVE [--frames 0:60] [--repeat 5] [--code OTHER/python]
+    python benchmarks/cost.py DRIVE [--frames 0:60] [--repeat 5] [--threads 1] [--code OTHER/python]
 
 ``docdepth run`` (default and paper), KISS-ICP and DUFOMap take turns, each in a process of its own,
 so that a slow moment of the machine hits all of them. Processor time is user and system time of all
 threads and children. KISS-ICP reads the sweeps through docdepth, deskews them and has its own
 settings. DUFOMap (pip install dufomap; left out without it) classifies sweeps that are deskewed, in
 memory and have poses: what that takes is part of ``all``, not of ``classify``. Ratios are medians
-of those of each turn. ``--code`` measures another version of docdepth, too, and ``--set
-render.behind=0`` (repeat it for more) the default with other parameters.
+of those of each turn.
+
+The second table says what docdepth spends its processor time on, in that of KISS-ICP. Each step
+counts the thread that does it, so with ``--threads 1`` nothing is missing: the rest of the run is
+its start, its end and the work between the steps.
+
+``--code`` measures another version of docdepth, too, and ``--set render.behind=0`` (repeat it for
+more) the default with other parameters.
 """
 
 from __future__ import annotations
@@ -21,7 +27,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -29,6 +37,20 @@ from typing import Any
 from results import parser_of, publish
 
 STAGES = {"run_odometry": "odometry", "run_classify": "classify", "run_render": "render"}
+STEPS = {
+    "registration": ("poses",),
+    "deskewing, checks": ("deskew", "check"),
+    "ground": ("ground: insert", "ground: grow", "ground: label"),
+    "meshes": ("meshes",),
+    "votes": ("key frames", "vote"),
+    "objects of a sweep": ("objects", "detections"),
+    "tracks": ("tracks",),
+    "sweeps made ready to draw": ("frames",),
+    "drawing": ("draw", "layers"),
+    "files": ("read", "write"),
+}
+"""What is done, and the names by which a run takes its times."""
+
 Times = dict[str, tuple[float, float]]
 """Processor and wall seconds by stage; ``all`` includes start and end of the process."""
 
@@ -45,8 +67,33 @@ def measured(work: Callable[[], object]) -> tuple[float, float]:
     return after[0] - before[0], after[1] - before[1]
 
 
-def run_docdepth(drive: str, frames: str, preset: str, settings: list[str]) -> tuple[Times, int]:
-    """Times of the stages of a run, and its sweeps."""
+@contextmanager
+def steps_timed() -> Iterator[dict[str, float]]:
+    """Processor seconds of threads by the names of :class:`docdepth.concurrency.Timer`."""
+    from docdepth.concurrency import Timer
+
+    spent: dict[str, float] = defaultdict(float)
+    plain = Timer.__call__
+
+    @contextmanager
+    def timed(self: Timer, name: str) -> Iterator[None]:
+        before = time.thread_time()
+        with plain(self, name):
+            yield
+        with self._lock:
+            spent[name] += time.thread_time() - before
+
+    Timer.__call__ = timed  # type: ignore[method-assign]
+    try:
+        yield spent
+    finally:
+        Timer.__call__ = plain  # type: ignore[method-assign]
+
+
+def run_docdepth(
+    drive: str, frames: str, preset: str, settings: list[str], threads: int
+) -> tuple[Times, int]:
+    """Times of the stages and steps of a run, and its sweeps."""
     import docdepth.pipeline.run as pipeline
     from docdepth import cli
     from docdepth.cli.terminal import app
@@ -61,11 +108,14 @@ def run_docdepth(drive: str, frames: str, preset: str, settings: list[str]) -> t
         setattr(pipeline, name, timed)
     for prepare in ("keep_memory", "take_one_blas_thread", "have_threads_sleep"):
         getattr(cli, prepare, lambda: None)()  # as main() does; earlier versions lack some
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, steps_timed() as spent:
         run = Path(folder) / "run"
         command = ["run", drive, "-o", str(run), "--preset", preset, "--frames", frames, "-q"]
+        command += ["--threads", str(threads)]
         command += [word for setting in settings for word in ("--set", setting)]
         app(command, standalone_mode=False)
+        for step, names in STEPS.items():
+            times[f"step {step}"] = (sum(spent[name] for name in names), 0.0)
         return times, len(list((run / "frames").glob("*.ply")))
 
 
@@ -121,6 +171,7 @@ def run_child(
     if code:
         environment["PYTHONPATH"] = code
     command = [sys.executable, __file__, options.drive, "--frames", options.frames, "--job", job]
+    command += ["--threads", str(options.threads)]
     command += [word for setting in settings for word in ("--set", setting)]
     before = clocks()
     result = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
@@ -136,6 +187,7 @@ def main() -> None:
     parser.add_argument("drive")
     parser.add_argument("--frames", default="0:60", help="sweeps A to B-1")
     parser.add_argument("--repeat", type=int, default=5, help="turns")
+    parser.add_argument("--threads", type=int, default=0, help="of docdepth; 0 for all cores")
     parser.add_argument("--code", help="python folder of another version, measured too")
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="measured as default, set"
@@ -146,7 +198,9 @@ def main() -> None:
         if options.job in PEERS:
             times, sweeps = PEERS[options.job](options.drive, options.frames)
         else:
-            times, sweeps = run_docdepth(options.drive, options.frames, options.job, options.set)
+            times, sweeps = run_docdepth(
+                options.drive, options.frames, options.job, options.set, options.threads
+            )
         print(json.dumps({"times": times, "sweeps": sweeps}))
         return
     jobs: dict[str, tuple[str, str | None, list[str]]] = {
@@ -165,7 +219,7 @@ def main() -> None:
         for name, (job, code, settings) in jobs.items():
             turns[-1][name], sweeps = run_child(job, options, code, settings)
             print(f"turn {turn + 1}: {name}", file=sys.stderr)
-    publish([table(turns, sweeps)], options.results)
+    publish([table(turns, sweeps), step_table(turns, sweeps)], options.results)
 
 
 HEADER = ("", "stage", "processor ms a sweep", "wall", "processor, KISS-ICP = 1", "wall")
@@ -178,6 +232,8 @@ def table(turns: list[dict[str, Times]], sweeps: int) -> Any:
     rows = []
     for name in turns[0]:
         for stage in turns[0][name]:
+            if stage.startswith("step "):
+                continue
             spent = [turn[name][stage] for turn in turns]
             peer = [turn["KISS-ICP"]["odometry"] for turn in turns]
             ms = [f"{1e3 * statistics.median(s[k] for s in spent) / sweeps:.0f}" for k in (0, 1)]
@@ -185,6 +241,29 @@ def table(turns: list[dict[str, Times]], sweeps: int) -> Any:
             rows.append((name, stage, *ms, *(f"{statistics.median(r):.2f}" for r in ratios)))
     title = f"Cost of a run: {sweeps} sweeps, medians of {len(turns)} turns"
     return Table(title, HEADER, tuple(rows))
+
+
+def step_table(turns: list[dict[str, Times]], sweeps: int) -> Any:
+    """Medians of the processor time of each step over that of KISS-ICP in the same turn."""
+    from docdepth.evaluation.tables import Table
+
+    def spent(times: Times, what: str) -> float:
+        if what == "the rest":
+            return spent(times, "all") - sum(spent(times, f"step {step}") for step in STEPS)
+        return times[what][0]
+
+    def ratio(name: str, what: str) -> str:
+        ratios = [spent(turn[name], what) / spent(turn["KISS-ICP"], "odometry") for turn in turns]
+        return f"{statistics.median(ratios):.2f}"
+
+    names = [name for name in turns[0] if name not in PEERS]
+    rows = [
+        (what.removeprefix("step "), *(ratio(name, what) for name in names))
+        for what in (*(f"step {step}" for step in STEPS), "the rest", "all")
+    ]
+    kiss = statistics.median(turn["KISS-ICP"]["odometry"][0] for turn in turns)
+    title = f"What is done, processor time; KISS-ICP = 1, {1e3 * kiss / sweeps:.0f} ms a sweep"
+    return Table(title, ("what", *names), tuple(rows))
 
 
 if __name__ == "__main__":
