@@ -42,7 +42,7 @@ std::unique_ptr<MeshImage> make_mesh_image(const Array<float>& points, const Arr
 py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
                   const Array<double>& T_world_lidar,
                   const std::vector<const KeyFrame*>& key_frames, const Array<double>& poses,
-                  const std::vector<double>& seconds, int threads) {
+                  const std::vector<double>& seconds, int threads, bool coarse_first) {
   const PointMap map = as_points(points);
   const bool* flags = as_flags(ground, map.rows(), "ground");
   in_range(double(key_frames.size()), 0, Votes::kNever, "the number of key frames");
@@ -50,8 +50,9 @@ py::tuple vote_on(const Array<float>& points, const Array<bool>& ground,
   const std::vector<Pose> T_world_key = as_poses(poses);
   for (const KeyFrame* key_frame : key_frames)
     if (!key_frame) throw std::invalid_argument("a key frame is None");
-  Votes votes = without_gil(
-      [&] { return vote(map, flags, pose, key_frames, T_world_key, seconds, threads); });
+  Votes votes = without_gil([&] {
+    return vote(map, flags, pose, key_frames, T_world_key, seconds, threads, coarse_first);
+  });
   return py::make_tuple(to_numpy(std::move(votes.statics)), to_numpy(std::move(votes.dynamics)),
                         to_numpy(std::move(votes.occupied_once)), to_numpy(std::move(votes.porous)),
                         to_numpy(std::move(votes.first_occupied)),
@@ -86,7 +87,7 @@ void bind_voting(py::module_& m) {
   py::class_<MeshImage, KeyFrame>(m, "MeshImage")
       .def(py::init(&make_mesh_image), "points"_a, "ground"_a, "mesh"_a, "parameters"_a);
   m.def("vote", &vote_on, "points"_a, "ground"_a, "T_world_lidar"_a, "key_frames"_a, "poses"_a,
-        "seconds"_a, "threads"_a = 0);
+        "seconds"_a, "threads"_a = 0, "coarse_first"_a = false);
 }
 
 }  // namespace docdepth::bindings

@@ -55,14 +55,18 @@ struct Votes {
   static constexpr std::uint16_t kNever = 0xffff;
 };
 
-/// Let every key frame vote on every point. Points that are no returns (not finite or at the
-/// origin) get no votes; ground points only from key frames that vote on ground.
+/// Let key frames vote on points. Points that are no returns (not finite or at the origin) get no
+/// votes; ground points only from key frames that vote on ground.
 /// @param ground       one flag per point
 /// @param key_frames   in order of time
 /// @param T_world_key  pose of each key frame
 /// @param seconds      of each key frame after the sweep; infinite if that is not known
+/// @param coarse_first  Where there are many key frames and returns, some vote on some points
+///     first, and all of them only in directions where anything was found free: most of a sweep
+///     never is. Elsewhere a point takes the votes on another one within a degree. Otherwise every
+///     key frame votes on every point.
 Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
            const std::vector<const KeyFrame*>& key_frames, const std::vector<Pose>& T_world_key,
-           const std::vector<double>& seconds, int threads);
+           const std::vector<double>& seconds, int threads, bool coarse_first = false);
 
 }  // namespace docdepth

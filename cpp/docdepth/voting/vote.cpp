@@ -1,4 +1,6 @@
 #include <algorithm>
+#include <limits>
+#include <optional>
 #include <stdexcept>
 
 #include "docdepth/geometry/parallel.hpp"
@@ -50,24 +52,26 @@ struct MovePoints {
   }
 };
 
-/// The usable points of rows [begin, end) that are ground, or that are not.
-BlockPoints select(const Points& points, const bool* ground, bool of_ground, std::size_t begin,
-                   std::size_t end) {
+/// Chosen rows [begin, end) of a sweep as columns.
+BlockPoints columns_of(const Points& points, const std::vector<std::size_t>& rows,
+                       std::size_t begin, std::size_t end) {
   BlockPoints columns;
-  for (auto* values : {&columns.x, &columns.y, &columns.z}) values->resize(end - begin);
-  columns.index.resize(end - begin);
-  std::size_t count = 0;
-  for (std::size_t i = begin; i < end; ++i) {
-    const float x = points(i, 0), y = points(i, 1), z = points(i, 2);
-    columns.x[count] = x;
-    columns.y[count] = y;
-    columns.z[count] = z;
-    columns.index[count] = i;
-    count += (ground[i] == of_ground) & usable(range_of(x, y, z));
+  columns.index.assign(rows.begin() + begin, rows.begin() + end);
+  for (const std::size_t i : columns.index) {
+    columns.x.push_back(points(i, 0));
+    columns.y.push_back(points(i, 1));
+    columns.z.push_back(points(i, 2));
   }
-  for (auto* values : {&columns.x, &columns.y, &columns.z}) values->resize(count);
-  columns.index.resize(count);
   return columns;
+}
+
+/// The usable points that are ground, or that are not.
+std::vector<std::size_t> rows_of(const Points& points, const bool* ground, bool of_ground) {
+  std::vector<std::size_t> rows;
+  for (Eigen::Index i = 0; i < points.rows(); ++i)
+    if (ground[i] == of_ground && usable(range_of(points(i, 0), points(i, 1), points(i, 2))))
+      rows.push_back(std::size_t(i));
+  return rows;
 }
 
 /// A batch of points in the frame of a key frame.
@@ -155,11 +159,182 @@ struct Tally {
   }
 };
 
+/// Key frames with their poses, as they vote on one sweep.
+class Voters {
+ public:
+  Voters(const std::vector<const KeyFrame*>& key_frames, const std::vector<Pose>& T_world_key,
+         const Pose& T_world_lidar, const std::vector<double>& seconds)
+      : key_frames_(key_frames), seconds_(seconds) {
+    for (const Pose& pose : T_world_key) T_key_query_.emplace_back(between(pose, T_world_lidar));
+    for (std::size_t k = 0; k < seconds.size(); ++k)
+      sweep_.push_back(k == 0 ? 0 : sweep_.back() + (seconds[k] != seconds[k - 1]));
+  }
+
+  /// Numbers of those of every `step`-th sweep: of several LiDARs that measure at once, all.
+  std::vector<std::size_t> every(std::size_t step) const {
+    std::vector<std::size_t> chosen;
+    for (std::size_t k = 0; k < sweep_.size(); ++k)
+      if (sweep_[k] % step == step / 2) chosen.push_back(k);
+    return chosen;
+  }
+  std::size_t sweeps() const { return sweep_.empty() ? 0 : sweep_.back() + 1; }
+
+  /// The votes of chosen ones on some rows; each counts as `weight` votes.
+  void vote(const Points& points, const std::vector<std::size_t>& rows, bool of_ground,
+            const std::vector<std::size_t>& chosen, int weight, int threads, Votes& votes) const {
+    parallel_for(rows.size(), kVoteBlock, threads, [&](std::size_t begin, std::size_t end) {
+      const BlockPoints query = columns_of(points, rows, begin, end);
+      const Tally tally = tally_of(query, of_ground, chosen);
+      for (std::size_t i = 0; i < query.size(); ++i) {
+        const std::size_t row = query.index[i];
+        votes.statics[row] = static_cast<std::uint16_t>(weight * tally.statics[i]);
+        votes.dynamics[row] = static_cast<std::uint16_t>(weight * tally.dynamics[i]);
+        votes.occupied_once[row] = tally.dynamics[i] > 0 && !tally.in_turn[i];
+        votes.porous[row] = tally.porous[i];
+        votes.first_occupied[row] = tally.first[i];
+        votes.last_occupied[row] = tally.last[i];
+      }
+    });
+  }
+
+ private:
+  Tally tally_of(const BlockPoints& query, bool of_ground,
+                 const std::vector<std::size_t>& chosen) const {
+    Tally tally(query.size());
+    const auto is_earlier = [&](std::size_t k) { return seconds_[k] < 0; };
+    const auto earlier = std::size_t(std::count_if(chosen.begin(), chosen.end(), is_earlier));
+    const std::size_t batch_count = (query.size() + QueryPoints::kMax - 1) / QueryPoints::kMax;
+    Batch batches[2];
+    for (std::size_t n = 0; n <= batch_count * chosen.size(); ++n) {
+      Batch& next = batches[n % 2];
+      const Batch& last = batches[1 - n % 2];
+      if (n < batch_count * chosen.size()) {
+        const std::size_t k = chosen[n / batch_count];
+        next.find(query, n % batch_count * QueryPoints::kMax, *key_frames_[k], T_key_query_[k],
+                  of_ground);
+      }
+      if (n == 0) continue;
+      last.vote(tally.statics.data(), tally.dynamics.data());
+      const std::size_t of = (n - 1) / batch_count, k = chosen[of];
+      if (of == earlier) tally.note_sweep(last.begin(), last.end());
+      tally.note(last.begin(), last.end(), std::uint16_t(k), float(seconds_[k]));
+    }
+    if (earlier >= chosen.size()) tally.note_sweep(0, query.size());
+    return tally;
+  }
+
+  const std::vector<const KeyFrame*>& key_frames_;
+  const std::vector<double>& seconds_;
+  std::vector<std::size_t> sweep_;  // key frames of one time are of one sweep
+  std::vector<RigidTransform> T_key_query_;
+};
+
+/// Of the first votes: one of so many points,
+constexpr std::size_t kPointStep = 4;
+/// and key frames of one of so many sweeps,
+constexpr int kSweepStep = 3;
+/// if there are at least so many. Fewer see too little of what passes.
+constexpr std::size_t kMinSweeps = 24;
+/// A place was clearly free if its static votes are fewer than so many times its dynamic ones: it
+/// is ground with as many, and twice that is a margin for the few that voted. Above level ground
+/// voting is so exact that half of it was seen through at some time.
+constexpr int kClearlyFreeRatio = 2;
+/// Directions are told apart in pixels of this size [rad]: one degree.
+constexpr double kPixel = 0.01745329251994330;
+/// Where fewer of the first lie in a pixel and the eight around it, all key frames vote, too: by
+/// sixteen beams, those may all miss somebody who walks. By 64 they are thirty.
+constexpr int kMinSamples = 12;
+
+/// The directions of a sweep in pixels, and in which of them anything was found free.
+class FreeDirections {
+ public:
+  explicit FreeDirections(const Points& points)
+      : columns_(grid_.columns()),
+        pixel_(points.rows()),
+        free_(std::size_t(grid_.rows()) * columns_),
+        clearly_free_(free_.size()),
+        samples_(free_.size()) {
+    const Returns returns(points);
+    std::vector<std::int32_t> row(returns.size()), column(returns.size());
+    grid_.pixels(returns.size(), returns.x.data(), returns.y.data(), returns.z.data(),
+                 returns.range.data(), row.data(), column.data());
+    for (std::size_t i = 0; i < returns.size(); ++i)
+      pixel_[returns.number[i]] = row[i] * columns_ + column[i];
+  }
+
+  /// Count the points that get the first votes.
+  /// @return whether there are enough of them in most of their directions
+  bool count(const std::vector<std::size_t>& some) {
+    std::fill(samples_.begin(), samples_.end(), 0);
+    for (const std::size_t row : some) each_near(row, [&](int pixel) { ++samples_[pixel]; });
+    const auto is_known = [&](std::size_t row) { return samples_[pixel_[row]] >= kMinSamples; };
+    return 2 * std::size_t(std::count_if(some.begin(), some.end(), is_known)) > some.size();
+  }
+
+  /// Take note of the first votes. All key frames vote on what lies in a pixel where something was
+  /// found free and in the eight around it. On ground they do if the place was clearly free,
+  /// whatever it was: the feet of what moves may be labelled ground.
+  void add(const std::vector<std::size_t>& some, const Votes& votes) {
+    for (const std::size_t row : some) {
+      const int statics = votes.statics[row], dynamics = votes.dynamics[row];
+      if (!dynamics) continue;
+      const bool is_clear = kClearlyFreeRatio * dynamics > statics;
+      each_near(row, [&](int pixel) { (is_clear ? clearly_free_ : free_)[pixel] = 1; });
+    }
+  }
+
+  /// Give each point in whose direction enough was asked and nothing found free the votes on the
+  /// last point of `some` before it that lies in its pixel, or else on the first one.
+  /// @return the other points
+  std::vector<std::size_t> spread(const std::vector<std::size_t>& rows,
+                                  const std::vector<std::size_t>& some, bool of_ground,
+                                  Votes& votes) const {
+    constexpr auto none = std::numeric_limits<std::size_t>::max();
+    std::vector<std::size_t> latest(free_.size(), none), left;
+    for (auto i = some.rbegin(); i != some.rend(); ++i) latest[pixel_[*i]] = *i;
+    auto next = some.begin();
+    for (const std::size_t row : rows) {
+      const std::int32_t pixel = pixel_[row];
+      std::size_t& from = latest[pixel];
+      if (next != some.end() && *next == row) from = *next++;
+      const bool is_free = clearly_free_[pixel] || (!of_ground && free_[pixel]);
+      if (from == none || samples_[pixel] < kMinSamples || is_free) {
+        left.push_back(row);
+        continue;
+      }
+      votes.statics[row] = votes.statics[from];
+      votes.dynamics[row] = votes.dynamics[from];
+      votes.occupied_once[row] = votes.occupied_once[from];
+      votes.porous[row] = votes.porous[from];
+      votes.first_occupied[row] = votes.first_occupied[from];
+      votes.last_occupied[row] = votes.last_occupied[from];
+    }
+    return left;
+  }
+
+ private:
+  /// Call `use` with the pixel of a point and those around it.
+  template <class Use>
+  void each_near(std::size_t row, const Use& use) const {
+    const int v = pixel_[row] / columns_, u = pixel_[row] % columns_;
+    for (int dv = -1; dv <= 1; ++dv)
+      for (int du = -1; du <= 1; ++du)
+        if (v + dv >= 0 && v + dv < grid_.rows())
+          use((v + dv) * columns_ + (u + du + columns_) % columns_);
+  }
+
+  SphericalGrid grid_{kPixel};
+  int columns_;
+  std::vector<std::int32_t> pixel_;
+  std::vector<std::uint8_t> free_, clearly_free_;
+  std::vector<int> samples_;  // in the nine pixels around each
+};
+
 }  // namespace
 
 Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
            const std::vector<const KeyFrame*>& key_frames, const std::vector<Pose>& T_world_key,
-           const std::vector<double>& seconds, int threads) {
+           const std::vector<double>& seconds, int threads, bool coarse_first) {
   if (key_frames.size() != T_world_key.size() || key_frames.size() != seconds.size())
     throw std::invalid_argument("vote needs one pose and one time for each key frame");
   const auto count = static_cast<std::size_t>(points.rows());
@@ -169,42 +344,25 @@ Votes vote(const Points& points, const bool* ground, const Pose& T_world_lidar,
               std::vector<std::uint8_t>(count),
               std::vector<std::uint16_t>(count, Votes::kNever),
               std::vector<std::uint16_t>(count, Votes::kNever)};
-  const auto is_earlier = [](double of) { return of < 0; };
-  const auto earlier = std::size_t(std::count_if(seconds.begin(), seconds.end(), is_earlier));
-  std::vector<RigidTransform> T_key_query;
-  for (const Pose& pose : T_world_key) T_key_query.emplace_back(between(pose, T_world_lidar));
-
-  const auto vote_on = [&](const BlockPoints& query, bool of_ground) {
-    Tally tally(query.size());
-    const std::size_t batch_count = (query.size() + QueryPoints::kMax - 1) / QueryPoints::kMax;
-    Batch batches[2];
-    for (std::size_t n = 0; n <= batch_count * key_frames.size(); ++n) {
-      Batch& next = batches[n % 2];
-      const Batch& last = batches[1 - n % 2];
-      if (n < batch_count * key_frames.size())
-        next.find(query, n % batch_count * QueryPoints::kMax, *key_frames[n / batch_count],
-                  T_key_query[n / batch_count], of_ground);
-      if (n == 0) continue;
-      last.vote(tally.statics.data(), tally.dynamics.data());
-      const std::size_t k = (n - 1) / batch_count;
-      if (k == earlier) tally.note_sweep(last.begin(), last.end());
-      tally.note(last.begin(), last.end(), std::uint16_t(k), float(seconds[k]));
-    }
-    if (earlier >= key_frames.size()) tally.note_sweep(0, query.size());
-    for (std::size_t i = 0; i < query.size(); ++i) {
-      votes.statics[query.index[i]] = tally.statics[i];
-      votes.dynamics[query.index[i]] = tally.dynamics[i];
-      votes.occupied_once[query.index[i]] = tally.dynamics[i] > 0 && !tally.in_turn[i];
-      votes.porous[query.index[i]] = tally.porous[i];
-      votes.first_occupied[query.index[i]] = tally.first[i];
-      votes.last_occupied[query.index[i]] = tally.last[i];
-    }
-  };
+  const Voters voters(key_frames, T_world_key, T_world_lidar, seconds);
   const bool with_ground = !key_frames.empty() && key_frames.front()->votes_on_ground();
-  parallel_for(count, kVoteBlock, threads, [&](std::size_t begin, std::size_t end) {
-    vote_on(select(points, ground, false, begin, end), false);
-    if (with_ground) vote_on(select(points, ground, true, begin, end), true);
-  });
+  std::optional<FreeDirections> directions;
+  if (coarse_first && voters.sweeps() >= kMinSweeps) directions.emplace(points);
+  for (const bool of_ground : {false, true}) {
+    if (of_ground && !with_ground) break;
+    std::vector<std::size_t> rows = rows_of(points, ground, of_ground);
+    if (directions) {
+      std::vector<std::size_t> some;
+      for (std::size_t k = kPointStep / 2; k < rows.size(); k += kPointStep)
+        some.push_back(rows[k]);
+      if (directions->count(some)) {
+        voters.vote(points, some, of_ground, voters.every(kSweepStep), kSweepStep, threads, votes);
+        directions->add(some, votes);
+        rows = directions->spread(rows, some, of_ground, votes);
+      }
+    }
+    voters.vote(points, rows, of_ground, voters.every(1), 1, threads, votes);
+  }
   return votes;
 }
 

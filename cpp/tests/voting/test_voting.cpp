@@ -5,6 +5,7 @@
 #include <cmath>
 #include <map>
 #include <memory>
+#include <numeric>
 #include <random>
 #include <utility>
 #include <vector>
@@ -175,4 +176,152 @@ TEST_CASE("across a discontinuity only points nearer than both sides are dynamic
   CHECK(votes_of_mesh(jump, 10.1f) == std::array<int, 2>{1, 0});
   CHECK(votes_of_mesh(jump, 15.0f) == std::array<int, 2>{0, 0});
   CHECK(votes_of_mesh(jump, 30.0f) == std::array<int, 2>{0, 0});
+}
+
+/// A street with houses, a fence of slats, and a car that drives along it, as a LiDAR of 64 rings
+/// sees it.
+class Street {
+ public:
+  /// The sweep number `k`, two metres after the one before.
+  explicit Street(int k) : pose(Pose::Identity()) {
+    pose(0, 3) = 2.0 * k;
+    const float car = 34.0f + 3.0f * static_cast<float>(14 - k);  // in the world
+    for (int ring = 0; ring < 64; ++ring)
+      for (int column = 0; column < 900; ++column) {
+        const float elevation = 0.05f - 0.007f * static_cast<float>(ring);
+        const float azimuth = 6.2831853f * static_cast<float>(column) / 900;
+        const Eigen::Vector3f ray(std::cos(elevation) * std::cos(azimuth),
+                                  std::cos(elevation) * std::sin(azimuth), std::sin(elevation));
+        float range = ray.z() < 0 ? -1.8f / ray.z() : 1e9f;
+        bool on_ground = true;
+        const float x = static_cast<float>(pose(0, 3));
+        // Houses along both sides with gaps, the fence before some of them, and the car.
+        for (int house = -8; house < 20; ++house)
+          for (const float y : {-9.0f, 8.0f})
+            hit(ray, {12.0f * house - x, y, -2}, {12.0f * house + 9 - x, y + 1, 6}, range,
+                on_ground);
+        const Eigen::Vector3f behind = ray * (5.5f / ray.y());
+        if (ray.y() > 0 && behind.norm() < range && behind.z() < 0 && std::abs(behind.x()) < 20 &&
+            std::fmod(behind.x() + x + 100, 0.3f) < 0.1f) {
+          range = behind.norm();
+          on_ground = false;
+        }
+        hit(ray, {car - x, 2.0f, -1.7f}, {car + 4 - x, 3.8f, -0.3f}, range, on_ground);
+        if (range > 70) continue;
+        returns.push_back(range * ray);
+        flags.push_back(on_ground);
+      }
+  }
+
+  /// The sweep as voting takes it, its rows shuffled if there is a seed.
+  std::pair<Cloud, std::unique_ptr<bool[]>> sweep(unsigned seed = 0) const {
+    std::vector<std::size_t> order(returns.size());
+    for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
+    if (seed) std::shuffle(order.begin(), order.end(), std::mt19937(seed));
+    Cloud cloud(Eigen::Index(order.size()), 3);
+    std::unique_ptr<bool[]> ground(new bool[order.size()]);
+    for (std::size_t i = 0; i < order.size(); ++i) {
+      cloud.row(Eigen::Index(i)) = returns[order[i]];
+      ground[i] = flags[order[i]];
+    }
+    return {cloud, std::move(ground)};
+  }
+
+  Pose pose;
+  std::vector<Eigen::Vector3f> returns;
+  std::vector<bool> flags;
+
+ private:
+  /// The range where a ray enters a box, if that is nearer.
+  static void hit(const Eigen::Vector3f& ray, const Eigen::Vector3f& low,
+                  const Eigen::Vector3f& high, float& range, bool& on_ground) {
+    const Eigen::Array3f a = low.array() / ray.array(), b = high.array() / ray.array();
+    const float in = a.min(b).maxCoeff(), out = a.max(b).minCoeff();
+    if (in > out || in < 0 || in >= range) return;
+    range = in;
+    on_ground = false;
+  }
+};
+
+TEST_CASE("votes from coarse to fine lose less than a hundredth of what all votes decide") {
+  std::vector<std::unique_ptr<MeshImage>> images;
+  std::vector<const KeyFrame*> key_frames;
+  std::vector<Pose> poses;
+  std::vector<double> seconds;
+  for (int k = 0; k < 29; ++k) {
+    if (k == 14) continue;
+    const Street street(k);
+    const auto [cloud, ground] = street.sweep();
+    images.push_back(std::make_unique<MeshImage>(cloud, ground.get(), build_scan_mesh(cloud, {}),
+                                                 MeshImageParameters{}));
+    key_frames.push_back(images.back().get());
+    poses.push_back(street.pose);
+    seconds.push_back(0.1 * (k - 14));
+  }
+  for (const unsigned seed : {0u, 7u}) {
+    const Street street(14);
+    const auto [cloud, ground] = street.sweep(seed);
+    const auto votes_of = [&, &cloud = cloud, &ground = ground](int threads, bool coarse_first) {
+      return vote(cloud, ground.get(), street.pose, key_frames, poses, seconds, threads,
+                  coarse_first);
+    };
+    const Votes all = votes_of(1, false), some = votes_of(1, true), again = votes_of(3, true);
+    CHECK(some.statics == again.statics);
+    CHECK(some.dynamics == again.dynamics);
+    CHECK(some.occupied_once == again.occupied_once);
+    CHECK(some.porous == again.porous);
+    CHECK(some.first_occupied == again.first_occupied);
+    CHECK(some.last_occupied == again.last_occupied);
+    int decided = 0, lost = 0, found = 0, porous = 0, solid = 0, same = 0, inexact = 0;
+    for (std::size_t i = 0; i < all.statics.size(); ++i) {
+      const bool moves = all.dynamics[i] > all.statics[i];
+      const bool told = some.dynamics[i] > some.statics[i];
+      decided += moves;
+      lost += moves && !told;
+      found += told && !moves;
+      // Where rays mostly hit it, nobody asks whether a thing is porous.
+      const bool asked = !ground[i] && all.porous[i] && 8 * all.dynamics[i] > all.statics[i];
+      porous += asked;
+      solid += asked && !some.porous[i];
+      const bool equal = all.statics[i] == some.statics[i] && all.dynamics[i] == some.dynamics[i] &&
+                         all.occupied_once[i] == some.occupied_once[i] &&
+                         all.porous[i] == some.porous[i] &&
+                         all.first_occupied[i] == some.first_occupied[i] &&
+                         all.last_occupied[i] == some.last_occupied[i];
+      same += equal;
+      inexact += !equal && !ground[i] && (some.dynamics[i] || some.porous[i]);
+    }
+    INFO("decided ", decided, ", lost ", lost, ", porous ", porous, ", lost ", solid, ", same ",
+         same, " of ", all.statics.size());
+    CHECK(decided > 200);
+    CHECK(100 * lost < decided);
+    CHECK(found == 0);
+    CHECK(porous > 200);
+    CHECK(100 * solid < porous);
+    CHECK(inexact == 0);
+    CHECK(3 * std::size_t(same) < 2 * all.statics.size());
+  }
+}
+
+TEST_CASE("few key frames, or such without a time, vote on all points") {
+  const Street street(0), next(1);
+  const auto [cloud, ground] = street.sweep();
+  const auto [other, other_ground] = next.sweep();
+  const MeshImage image(other, other_ground.get(), build_scan_mesh(other, {}), {});
+  const auto votes_of = [&, &cloud = cloud, &ground = ground](std::vector<double> seconds,
+                                                              bool coarse_first) {
+    const std::vector<const KeyFrame*> key_frames(seconds.size(), &image);
+    const std::vector<Pose> poses(seconds.size(), next.pose);
+    return vote(cloud, ground.get(), street.pose, key_frames, poses, seconds, 1, coarse_first);
+  };
+  std::vector<double> often(24);
+  std::iota(often.begin(), often.end(), 1);
+  CHECK(votes_of(often, false).statics != votes_of(often, true).statics);
+  often.pop_back();
+  const std::vector<double> unknown(30, INFINITY);
+  for (const auto& seconds : {often, unknown}) {
+    const Votes all = votes_of(seconds, false), some = votes_of(seconds, true);
+    CHECK(all.statics == some.statics);
+    CHECK(all.dynamics == some.dynamics);
+  }
 }

@@ -201,6 +201,7 @@ class SweepClassifier:
                 poses[voters],
                 threads=1,
                 seconds=(times[voters] - times[index]) * 1e-9,
+                coarse_first=self._parameters.vote_model == "surface",
             )
         if not self.uses_tracks:
             with self._timer("objects"):

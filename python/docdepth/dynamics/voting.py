@@ -130,6 +130,7 @@ def vote(
     poses: NDArray[np.float64],
     threads: int = 0,
     seconds: NDArray[np.float64] | None = None,
+    coarse_first: bool = False,
 ) -> Votes:
     """Let key frames vote on every point of a sweep (Algorithm 1).
 
@@ -153,6 +154,10 @@ def vote(
     seconds : ndarray of float64, shape (k,), optional
         How long after the sweep each key frame was measured; negative before it. Absent if that is
         not known; then no place is porous.
+    coarse_first : bool
+        Of 24 key frames or more whose times are known, a third votes on a quarter of the points
+        first, and all of them only near directions where anything was found free. Elsewhere points
+        take the votes on a point near them, three for one.
 
     Returns
     -------
@@ -174,6 +179,7 @@ def vote(
         np.array([T for _, T in voters]).reshape(-1, 4, 4),
         np.repeat(seconds, views).tolist(),
         threads,
+        coarse_first,
     )
     number = np.full(NEVER + 1, NEVER, np.uint16)
     number[: sum(views)] = np.repeat(np.arange(len(views)), views)
