@@ -222,7 +222,10 @@ def in_boxes(points: NDArray[np.float32], boxes: Sequence[ArrayLike]) -> NDArray
     inside = np.zeros(len(points), bool)
     for box in boxes:
         low, high = np.array(box, np.float32).reshape(3, 2).T
-        inside |= ((points >= low) & (points <= high)).all(axis=1)
+        here = np.ones(len(points), bool)
+        for values, least, most in zip(points.T, low, high, strict=True):
+            here &= (values >= least) & (values <= most)
+        inside |= here
     return inside
 
 
