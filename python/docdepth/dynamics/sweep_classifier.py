@@ -267,7 +267,7 @@ class SweepClassifier:
                 )
             untracked = (classid >= DYNAMIC) & (instance == 0)
             classid = withdraw_untracked(
-                classid, untracked, frame.ground, frame.points, votes.dynamic > 0, porous
+                classid, untracked, frame.ground, frame.points, votes, porous
             )
             store.write(index, frame, Labels(classid, votes, instance))
 

@@ -54,6 +54,11 @@ _PAIRS = 200_000
 MAX_POROUS_SHARE = 0.2
 """Where more of the places that were found free are porous, what no track follows stands [-]."""
 
+MIN_FREE_RATIO = 2
+"""Ground that no track follows moves only where more than so many times as many key frames found
+its place free as occupied [-]. A whole car may be taken for ground; but of the ground itself, seen
+at a flat angle, many key frames seem to look under it."""
+
 _CELL = 2.0
 """What is around a point is told by cells of this edge, its own and those beside it [m]."""
 
@@ -248,10 +253,10 @@ def withdraw_untracked(
     untracked: NDArray[np.bool_],
     ground: NDArray[np.bool_],
     points: NDArray[np.float32],
-    free: NDArray[np.bool_],
+    votes: Votes,
     porous: NDArray[np.bool_],
 ) -> NDArray[np.uint16]:
-    """Make points static again that no track follows, and that lie among porous things.
+    """Make points stand that no track follows: those among porous things, and doubtful ground.
 
     Rays hit and pass fences and twigs in turn, and each sweep hits other parts of them, of which
     some seem to have been free. What is around these tells: where many places that were found free
@@ -266,8 +271,7 @@ def withdraw_untracked(
     ground : ndarray of bool, shape (N,)
     points : ndarray of float32, shape (N, 3)
         The deskewed sweep, LiDAR frame, metres.
-    free : ndarray of bool, shape (N,)
-        Whether a key frame found the place free.
+    votes : Votes
     porous : ndarray of bool, shape (N,)
         Of :class:`docdepth.dynamics.voting.OccupancyIntervals`.
 
@@ -275,7 +279,7 @@ def withdraw_untracked(
     -------
     ndarray of uint16, shape (N,)
     """
-    left = ~ground & free
+    left = ~ground & (votes.dynamic > 0)
     cells, cell = np.unique(_cell_keys(points[left]), return_inverse=True)
     counts = np.stack([np.bincount(cell, w, minlength=len(cells)) for w in (None, porous[left])])
     rows = np.flatnonzero(untracked)
@@ -286,7 +290,9 @@ def withdraw_untracked(
             there = here + _cell_keys(np.array([step], np.float32) * _CELL)
             at = np.minimum(np.searchsorted(cells, there), len(cells) - 1)
             around += np.where(cells[at] == there, counts[:, at], 0)
-    stands = rows[around[1] > MAX_POROUS_SHARE * around[0]]
+    among_porous = around[1] > MAX_POROUS_SHARE * around[0]
+    is_clear = votes.dynamic[rows] > MIN_FREE_RATIO * votes.static[rows].astype(np.int64)
+    stands = rows[among_porous | (ground[rows] & ~is_clear)]
     classid = classid.copy()
     classid[stands] = np.where(ground[stands], GROUND, STATIC)
     return classid
