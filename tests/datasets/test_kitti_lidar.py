@@ -1,5 +1,6 @@
 """KITTI's LiDAR: detected from points, the laser of each point, and what ray origins bring."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -116,3 +117,16 @@ def test_azimuth_tells_when_a_compensated_sweep_saw_each_point(short):
     assert np.median(off) < 0.005
     assert off.max() < 0.05
     assert np.corrcoef(sweep.relative_time, exact)[0, 1] > 0.99
+
+
+@pytest.mark.parametrize(("said", "width"), [("", 0.2), ("beam_width_deg: 0.1\n", 0.1)])
+def test_its_beams_are_wide_unless_a_recording_says_otherwise(tmp_path, short, said, width):
+    drive = tmp_path / "00"
+    shutil.copytree(short, drive)
+    assert open_dataset(drive).sweep(0).sensor_rig.beam_width == 0  # a simulated drive
+    (drive / "docdepth.yaml").write_text("motion_compensated: true\n" + said)
+    rig = open_dataset(drive).sweep(0).sensor_rig
+    assert np.degrees(rig.beam_width) == pytest.approx(width)
+    run = RunFolder(tmp_path / "run")
+    run.write_sensors(rig, {})
+    assert run._rig_of(rig.index).beam_width == rig.beam_width

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -348,4 +350,14 @@ class Recording(DatasetRepr):
         for number, reader in enumerate(self._readers[1:], start=1):
             assert rig is not None
             rig = rig.with_lidar(reader.stream.T_lidar_sensor, counts.get(number, 0))
-        return rig
+        width = self._beam_width_deg()
+        if width and rig is None:
+            rig = SensorRig.single((0, 0, 0), len(points))
+        return rig if rig is None else replace(rig, beam_width=math.radians(width))
+
+    def _beam_width_deg(self) -> float:
+        """Full angle of a beam."""
+        said = self._settings.beam_width_deg
+        if said is not None:
+            return said
+        return kitti_lidar.BEAM_WIDTH_DEG if self._is_kitti_lidar else 0.0

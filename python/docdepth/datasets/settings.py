@@ -128,6 +128,8 @@ class RecordingSettings(Strict):
     stamp : {"start", "middle", "end"}, optional
         Which instant of a sweep its time is.
     point_time_unit : {"s", "ms", "us", "ns"}, optional
+    beam_width_deg : float, optional
+        Full angle of a beam of the LiDAR. None: that of KITTI's LiDAR, and 0 of others.
     sweep_duration : float, optional
         Seconds. Sweeps of the recording are joined or cut to it by the times of their points.
     poses : str, optional
@@ -142,6 +144,7 @@ class RecordingSettings(Strict):
     up: tuple[float, float, float] | None = None
     stamp: Instant | None = None
     point_time_unit: Unit | None = None
+    beam_width_deg: float | None = Field(None, ge=0, le=2)
     sweep_duration: float | None = Field(None, ge=0.01, le=10)
     poses: str | None = None
     _file: Path = PrivateAttr(Path(FILE))

@@ -41,6 +41,9 @@ class SensorRig(ShortRepr):
     ego_displacement : ndarray of float32, shape (N, 3), optional
         Of a deskewed sweep: how far the vehicle has moved from the sweep's stamp to the measurement
         of each point, LiDAR frame, metres; 0 if left out.
+    beam_width : float
+        Full angle of a beam, radians; 0 if beams count as lines. Wide beams return from things that
+        they only touch, so depth maps take a part of it off their edges.
 
     Raises
     ------
@@ -53,6 +56,7 @@ class SensorRig(ShortRepr):
     lateral_offset: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     lidar_id: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
     ego_displacement: NDArray[np.float32] | None = None
+    beam_width: float = 0.0
 
     def __post_init__(self) -> None:
         index, T = np.asarray(self.index), float_array("T_lidar_sensor", self.T_lidar_sensor)
@@ -91,6 +95,7 @@ class SensorRig(ShortRepr):
         object.__setattr__(self, "T_lidar_sensor", T)
         object.__setattr__(self, "lateral_offset", lateral_offset)
         object.__setattr__(self, "lidar_id", lidar_id)
+        object.__setattr__(self, "beam_width", float(self.beam_width))
 
     @classmethod
     def single(cls, place: ArrayLike, points: int) -> SensorRig:
@@ -129,6 +134,7 @@ class SensorRig(ShortRepr):
             np.append(self.T_lidar_sensor, T_lidar_sensor[None], axis=0),
             np.append(self.lateral_offset, 0.0),
             np.append(self.lidar_id, self.lidar_id.max() + 1),
+            beam_width=self.beam_width,
         )
 
 

@@ -43,7 +43,7 @@ from docdepth.io.yaml_json import parse_json
 log = logging.getLogger(__name__)
 
 _STAGE_INPUTS = "stage_inputs.json"
-_OF_SENSORS = ("T_lidar_sensor", "lateral_offset", "lidar_id")
+_OF_SENSORS = ("T_lidar_sensor", "lateral_offset", "lidar_id", "beam_width")
 
 
 class RunFolder(RecordedFolder):
@@ -437,7 +437,7 @@ def _content(path: Path) -> bytes | None:
 
 
 @lru_cache(maxsize=1)
-def _sensors(path: Path, identity: tuple[int, ...]) -> dict[str, NDArray[Any]]:
+def _sensors(path: Path, identity: tuple[int, ...]) -> dict[str, Any]:
     """Arguments of :class:`SensorRig` that all frames of a run share, read once."""
     return dict(zip(_OF_SENSORS, read_kept_arrays(path, *_OF_SENSORS), strict=True))
 

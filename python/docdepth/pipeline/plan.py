@@ -25,7 +25,7 @@ _Known = dict[str, list[int | str]]
 _NOTES = "inputs.json"
 """By name size and time of each file, and perhaps its hash and the time of its state."""
 
-_VERSIONS = {"odometry": 9, "classify": 25, "render": 11}
+_VERSIONS = {"odometry": 10, "classify": 25, "render": 12}
 """Counted up when a new version of docdepth makes other results of the same inputs."""
 
 
@@ -158,6 +158,7 @@ def odometry_stage(
             "poses": None if poses is None else stage_key(np.asarray(poses).tolist(), *kept),
             "rays": stage_key(
                 None if rig is None else rig.T_lidar_sensor.tolist(),
+                *([rig.beam_width] if rig is not None and rig.beam_width else []),
                 first.motion_compensated,
                 first.relative_time is not None,
                 *([up] if up else []),

@@ -25,6 +25,11 @@ ISOLATED_SIZE_DEG = 0.1
 """Triangles: half the diagonal of the square drawn for a return that belongs to no triangle, as the
 LiDAR sees it [deg]. Half the angle between two returns of a common spinning LiDAR."""
 
+SEEN_BEAM = 0.2
+"""Triangles: share of a beam by which things are drawn narrower on each side, where it has a width
+[-]. Half a beam is too much: a beam returns from what gives the stronger echo, not from the nearer
+thing, and other sweeps see other parts of an edge."""
+
 Part: TypeAlias = tuple[Any, NDArray[np.float64]]
 """What the core draws (``_core.Frame`` of splats, ``_core.MeshFrame`` of triangles), and the pose
 ``T_lidar_sensor`` of the LiDAR that measured it."""
@@ -90,7 +95,8 @@ class RenderSweep:
         # This mesh differs from the one that votes use: its ray origins move with the vehicle,
         # which changes which returns are neighbours, and points beyond the crop are missing.
         meshes = ScanMesh(points, sensor_rig=sensor_rig).parts
-        self.parts = [_part(mesh, classid, self.objects) for mesh in meshes]
+        half_beam = SEEN_BEAM * (sensor_rig.beam_width if sensor_rig is not None else 0.0)
+        self.parts = [_part(mesh, classid, self.objects, half_beam) for mesh in meshes]
         # Rows of other LiDARs are NaN.
         indices = [
             self.objects.object_index[np.isfinite(mesh.view.points[:, 0])] for mesh in meshes
@@ -189,7 +195,9 @@ def _within_crop(
     return within | (np.isfinite(squared) & (classid >= DYNAMIC))
 
 
-def _part(mesh: LidarMesh, classid: NDArray[np.uint16], objects: DynamicObjects) -> Part:
+def _part(
+    mesh: LidarMesh, classid: NDArray[np.uint16], objects: DynamicObjects, half_beam: float
+) -> Part:
     """The mesh of one LiDAR as the core draws it; rows of other LiDARs are NaN and left out."""
     points, ray_origins = mesh.view.points, mesh.view.ray_origins()
     triangles, isolated = mesh.core.triangles, mesh.core.isolated
@@ -220,5 +228,6 @@ def _part(mesh: LidarMesh, classid: NDArray[np.uint16], objects: DynamicObjects)
         displacement,
         ray_origins,
         objects.visible,
+        half_beam,
     )
     return core, mesh.view.T_lidar_sensor

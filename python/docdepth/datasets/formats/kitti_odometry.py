@@ -31,7 +31,6 @@ class KittiSettings(RecordingSettings):
     sensor: object = None
     seed: object = None
     frames: object = None
-    beam_width_deg: object = None
     blooming_deg: object = None
 
 
@@ -114,6 +113,12 @@ class KittiOdometry(Recording):
         """The files of sweep ``index`` of each LiDAR, and the times of its points."""
         times = self._times_file(index)
         return super().sweep_files(index) + [times] * times.is_file()
+
+    def _beam_width_deg(self) -> float:
+        made = isinstance(self._settings, KittiSettings) and self._settings.scene is not None
+        if made and self._settings.beam_width_deg is None:
+            return 0.0  # KITTI's LiDAR as it is simulated by default
+        return super()._beam_width_deg()
 
     def _times_file(self, index: int) -> Path:
         return self.path / "point_times" / f"{self._readers[0].stream.names[index]}.bin"
