@@ -26,7 +26,7 @@ from docdepth.render.selection import needed_sweeps
 
 log = logging.getLogger(__name__)
 
-_VERSION = 1  # counted up when the same images ask for another change
+_VERSION = 2  # counted up when the same images ask for another change
 _IMAGES = 40
 
 
