@@ -97,7 +97,7 @@ def drive_of_run(run: Path, recording: Path) -> Drive:
 
     return Drive(
         poses=folder.trajectory().poses @ view(0).T_lidar_sensor,
-        source=folder.inputs.poses or "small_gicp, deskewed",
+        source=folder.inputs.poses or "docdepth, deskewed",
         points=lambda index: view(index).points,
         labels=labels,
         dynamic=lambda index: folder.classified_frame(index)[1] >= DYNAMIC,

@@ -4,6 +4,7 @@ namespace docdepth::bindings {
 void bind_geometry(pybind11::module_& m);
 void bind_ground(pybind11::module_& m);
 void bind_mesh(pybind11::module_& m);
+void bind_odometry(pybind11::module_& m);
 void bind_voting(pybind11::module_& m);
 void bind_objects(pybind11::module_& m);
 void bind_render(pybind11::module_& m);
@@ -17,6 +18,7 @@ PYBIND11_MODULE(_core, m) {
   docdepth::bindings::bind_geometry(m);
   docdepth::bindings::bind_ground(m);
   docdepth::bindings::bind_mesh(m);
+  docdepth::bindings::bind_odometry(m);
   docdepth::bindings::bind_voting(m);
   docdepth::bindings::bind_objects(m);
   docdepth::bindings::bind_render(m);

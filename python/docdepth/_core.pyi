@@ -7,7 +7,7 @@ import docdepth.errors
 import numpy
 import numpy.typing
 import typing
-__all__: list[str] = ['ClassificationOptions', 'Detections', 'Frame', 'GlError', 'GlRenderer', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'MeshFrame', 'MeshImage', 'MeshImageParameters', 'MeshParameters', 'RangeImage', 'Rays', 'ScanMesh', 'add_isolated_points', 'add_points_inside', 'classify_objects', 'cluster_objects', 'egl_devices', 'join_meshes', 'mesh_layers', 'nearest_neighbors', 'render_meshes', 'render_splats', 'splat_layers', 'thin_sweep', 'track_objects', 'vote']
+__all__: list[str] = ['ClassificationOptions', 'Detections', 'Frame', 'GaussianVoxelMap', 'GlError', 'GlRenderer', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'MeshFrame', 'MeshImage', 'MeshImageParameters', 'MeshParameters', 'OrientedPoints', 'RangeImage', 'Rays', 'ScanMesh', 'add_isolated_points', 'add_points_inside', 'classify_objects', 'cluster_objects', 'egl_devices', 'join_meshes', 'mesh_layers', 'nearest_neighbors', 'render_meshes', 'render_splats', 'splat_layers', 'thin_sweep', 'track_objects', 'vote']
 class GroundParameters:
     def __init__(self) -> None:
         ...
@@ -108,6 +108,21 @@ class ScanMesh:
         ...
     @property
     def triangles(self) -> numpy.typing.NDArray[numpy.uint32]:
+        ...
+class OrientedPoints:
+    def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], neighbors: typing.SupportsInt | typing.SupportsIndex, threads: typing.SupportsInt | typing.SupportsIndex = 0) -> None:
+        ...
+    @property
+    def normals(self) -> numpy.typing.NDArray[numpy.float32]:
+        ...
+class GaussianVoxelMap:
+    def __init__(self, voxel_size: typing.SupportsFloat | typing.SupportsIndex) -> None:
+        ...
+    def align(self, cloud: OrientedPoints, guess: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> tuple:
+        ...
+    def insert(self, cloud: OrientedPoints, T_map_cloud: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
+        ...
+    def voxels(self) -> tuple:
         ...
 class KeyFrame:
     pass

@@ -43,7 +43,7 @@ class _Stage(BaseModel):
 
 
 class OdometryParameters(_Stage):
-    """LiDAR odometry and deskewing (paper III-B; small_gicp)."""
+    """LiDAR odometry and deskewing (paper III-B)."""
 
     max_range: float = Field(
         100.0, ge=5, le=1000, description="points beyond are not registered [m]"

@@ -126,7 +126,7 @@ def test_poses_of_another_time_are_refused() -> None:
 def test_a_run_against_exact_poses(finished, drive: Path, tmp_path: Path, caplog) -> None:
     run, _ = finished
     result = evaluate_trajectories(run, "dataset")
-    assert (result.poses, result.source) == (5, "small_gicp")
+    assert (result.poses, result.source) == (5, "docdepth")
     assert 0 < result.ape.rmse < 0.1
     printed = cli("evaluate", "trajectories", run, "--poses", "dataset", "--json")
     assert json.loads(printed.output)["ape"]["rmse"] == pytest.approx(result.ape.rmse)

@@ -53,12 +53,14 @@ def test_lorries_beside_do_not_pull_along(tmp_path: Path) -> None:
 def test_a_narrow_view_does_not_turn_away(tmp_path: Path) -> None:
     """Points ahead fit a step to the side as well as a turn, so a rotation follows its position.
 
-    Where rotations stayed as registered, this drive ended 11 degrees a sweep off.
+    Where rotations stayed as registered, this drive ended 11 degrees a sweep off. So little holds
+    the vehicle here that rounding moves the largest turn: it is 0.1 to 0.9 degrees on copies of
+    the drive whose points are moved by a millionth.
     """
     write_drive(tmp_path, "highway", "Avia", 70, 7, skew=True, images=False)
     steps, exact = (inverse(poses[:-1]) @ poses[1:] for poses in registered(tmp_path))
     turns = np.degrees([rotation_log(error[:3, :3]) for error in inverse(exact) @ steps])
-    assert np.linalg.norm(turns, axis=1).max() < 0.5
+    assert np.linalg.norm(turns, axis=1).max() < 1.5
 
 
 def test_sixteen_beams_do_not_pitch(tmp_path: Path) -> None:

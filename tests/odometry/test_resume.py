@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import small_gicp
 
+import docdepth._core as _core
 from docdepth.config import OdometryParameters
 from docdepth.errors import RunError
 from docdepth.odometry.odometry import estimate_poses
@@ -63,13 +63,13 @@ def test_what_is_known_is_not_registered_again(drive, whole, tmp_path, monkeypat
     known = [len(log) for log in logs]
     assert known[0] > known[1] >= 5
     aligned: list[object] = []
-    align = small_gicp.align
+    align = _core.GaussianVoxelMap.align
 
     def counted(voxels, *arguments, **named):
         aligned.append(voxels)
         return align(voxels, *arguments, **named)
 
-    monkeypatch.setattr(small_gicp, "align", counted)
+    monkeypatch.setattr(_core.GaussianVoxelMap, "align", counted)
     np.testing.assert_array_equal(estimate_poses(drive, checkpoint=tmp_path), whole)
     assert len(aligned) == 2 * COUNT - sum(known)
     drive.read.clear()
@@ -157,19 +157,10 @@ REACH = 3.0  # metres that a sweep of these tests sees
 VOXEL = 0.5
 
 
-def _cloud(rng: np.random.Generator) -> small_gicp.PointCloud:
+def _cloud(rng: np.random.Generator) -> _core.OrientedPoints:
     points = rng.normal(size=(300, 3))
     points *= REACH * rng.uniform(0, 1, (300, 1)) / np.linalg.norm(points, axis=1, keepdims=True)
-    cloud = small_gicp.PointCloud(points)
-    small_gicp.estimate_covariances(cloud, small_gicp.KdTree(cloud), 10, 1)
-    return cloud
-
-
-def _content(voxels: small_gicp.GaussianVoxelMap) -> tuple[np.ndarray, np.ndarray]:
-    points, covariances = voxels.voxel_points(), voxels.voxel_covs()
-    points, covariances = np.array(points), np.array(covariances)
-    order = np.lexsort(points.T)
-    return points[order], covariances[order]
+    return _core.OrientedPoints(points.astype(np.float32), 10, 1)
 
 
 def _paths() -> dict[str, np.ndarray]:
@@ -195,12 +186,12 @@ def test_a_map_of_the_last_sweeps_is_the_whole_map(name: str) -> None:
     rng = np.random.default_rng(7)
     positions, clouds = _paths()[name], [_cloud(rng) for _ in range(40)]
 
-    def insert(voxels: small_gicp.GaussianVoxelMap, k: int) -> None:
+    def insert(voxels: _core.GaussianVoxelMap, k: int) -> None:
         pose = np.eye(4)
         pose[:3, 3] = positions[k]
         voxels.insert(clouds[k % len(clouds)], pose)
 
-    every, skipped = small_gicp.GaussianVoxelMap(VOXEL), 0
+    every, skipped = _core.GaussianVoxelMap(VOXEL), 0
     for k in range(len(positions)):
         insert(every, k)
         if k % 37 != 36:
@@ -208,10 +199,10 @@ def test_a_map_of_the_last_sweeps_is_the_whole_map(name: str) -> None:
         first = first_insertion(positions[: k + 1], 2 * REACH + 2 * VOXEL)
         assert first % CLEAR_CYCLE == 0
         skipped = max(skipped, first)
-        again = small_gicp.GaussianVoxelMap(VOXEL)
+        again = _core.GaussianVoxelMap(VOXEL)
         for j in range(first, k + 1):
             insert(again, j)
-        for expected, found in zip(_content(every), _content(again), strict=True):
+        for expected, found in zip(every.voxels(), again.voxels(), strict=True):
             np.testing.assert_array_equal(found, expected)
     if name in ("ahead", "large rings"):
         assert skipped > 100

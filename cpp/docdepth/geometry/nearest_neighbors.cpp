@@ -2,10 +2,10 @@
 
 #include <cmath>
 #include <limits>
-#include <nanoflann.hpp>
 #include <stdexcept>
 #include <string>
 
+#include "docdepth/geometry/kd_tree.hpp"
 #include "docdepth/geometry/parallel.hpp"
 
 namespace docdepth {
@@ -14,29 +14,10 @@ namespace {
 /// Squares of larger coordinates overflow a float [m].
 constexpr float kMaxCoordinate = 1e18f;
 
-/// Points in a leaf of the tree: fewer make the tree deeper, more are compared in vain.
-constexpr std::size_t kTreeLeafSize = 16;
 /// Branches whose bound exceeds the least squared distance by less are searched, too.
 constexpr float kBoundMargin = 1.00001f;
 /// Queries that a thread takes at once.
 constexpr std::size_t kQueryBlock = 1024;
-/// Lets nanoflann read points where they are.
-struct PointsAdaptor {
-  const Points& points;
-
-  std::size_t kdtree_get_point_count() const { return static_cast<std::size_t>(points.rows()); }
-  float kdtree_get_pt(std::size_t i, std::size_t axis) const {
-    return points(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(axis));
-  }
-  template <class Box>
-  bool kdtree_get_bbox(Box&) const {
-    return false;  // nanoflann computes it
-  }
-};
-
-using Distance = nanoflann::L2_Simple_Adaptor<float, PointsAdaptor, float, std::uint32_t>;
-using Tree = nanoflann::KDTreeSingleIndexAdaptor<Distance, PointsAdaptor, 3, std::uint32_t>;
-
 /// Keeps the nearest point, of equally near ones the first: branches that may hold an equal
 /// distance are searched, too.
 class FirstNearest {
@@ -87,8 +68,8 @@ NearestNeighbors nearest_neighbors(const Points& points, const Points& queries, 
   NearestNeighbors found{std::vector<std::uint32_t>(count), std::vector<float>(count)};
   if (!count) return found;
   if (!points.rows()) throw std::invalid_argument("there are no points to search in");
-  const PointsAdaptor adaptor{points};
-  const Tree tree(3, adaptor, {kTreeLeafSize});
+  const PointsAdaptor adaptor(points);
+  const KdTree tree(3, adaptor, {kTreeLeafSize});
   parallel_for(count, kQueryBlock, threads, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       const auto row = static_cast<Eigen::Index>(i);

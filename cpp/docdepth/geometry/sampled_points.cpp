@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "docdepth/geometry/key_numbers.hpp"
 #include "docdepth/geometry/point_grid.hpp"
 
 namespace docdepth {
@@ -23,30 +24,6 @@ constexpr float kMaxShift = 400.0f;
 constexpr float kMaxHeightDifference = 0.2f;
 /// Search radii of the steps that refine a shift [m], from the error of a bin to kMatchDistance.
 constexpr float kRefineRadii[] = {0.6f, 0.4f, 0.3f, 0.3f, 0.3f};
-
-/// Numbers keys in the order in which they come. Far faster here than std::unordered_map.
-class KeyNumbers {
- public:
-  explicit KeyNumbers(std::size_t most) {
-    while (slots_.size() < 2 * most) slots_.resize(2 * slots_.size(), kEmpty);
-    keys_.reserve(most);
-  }
-  std::size_t operator[](std::uint64_t key) {
-    const std::size_t mask = slots_.size() - 1;
-    std::size_t slot = (key * 0x9E3779B97F4A7C15u) >> 32 & mask;
-    while (slots_[slot] != kEmpty && keys_[slots_[slot]] != key) slot = (slot + 1) & mask;
-    if (slots_[slot] == kEmpty) {
-      slots_[slot] = static_cast<std::uint32_t>(keys_.size());
-      keys_.push_back(key);
-    }
-    return slots_[slot];
-  }
-
- private:
-  static constexpr std::uint32_t kEmpty = ~0u;
-  std::vector<std::uint32_t> slots_ = std::vector<std::uint32_t>(8, kEmpty);
-  std::vector<std::uint64_t> keys_;
-};
 
 /// Call visit(i, number of its voxel) for each point; voxels are numbered as they come.
 template <class Visit>

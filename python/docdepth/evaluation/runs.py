@@ -265,4 +265,4 @@ def _truth_folder(path: Path, inside: str, run: RunFolder) -> Path:
 
 def _poses(folder: RunFolder) -> str:
     inputs = folder.manifest.inputs
-    return (None if inputs is None else inputs.poses) or "small_gicp"
+    return (None if inputs is None else inputs.poses) or "docdepth"

@@ -186,7 +186,7 @@ def evaluate_trajectories(run: Path | str | RunFolder, poses: Path | str) -> Tra
     truth = timed or Trajectory(made.times, read_given_poses(entry, recording))
     if not move_upwards(made.poses):
         log_findings(log, find_camera_poses(truth.poses))
-    return compare_trajectories(truth, made, inputs.poses or "small_gicp")
+    return compare_trajectories(truth, made, inputs.poses or "docdepth")
 
 
 def _of_other_rate(file: Path, recording: Dataset) -> Trajectory | None:

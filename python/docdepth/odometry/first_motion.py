@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+import docdepth._core as _core
 from docdepth.datasets.base import Sweep
 from docdepth.odometry.deskewing import deskew
 from docdepth.odometry.level_ground import rising_rows
@@ -59,9 +60,9 @@ class _Points(NamedTuple):
     points: NDArray[np.float32]
     time: NDArray[np.float32]
 
-    def moved(self, motion: NDArray[np.float64]) -> NDArray[np.float64]:
+    def moved(self, motion: NDArray[np.float64]) -> NDArray[np.float32]:
         """In the frame of the first sweep."""
-        return deskew(self.points, self.time, motion).astype(np.float64)
+        return deskew(self.points, self.time, motion)
 
     def rows(self, chosen: NDArray[np.bool_] | NDArray[np.int64] | slice) -> _Points:
         return _Points(self.points[chosen], self.time[chosen])
@@ -180,7 +181,7 @@ def _best_straight(
 ) -> tuple[list[_Points], list[NDArray[np.float64]]]:
     """The points that fit best, and the straight motions (4, 4) by which they do, best first."""
     best: list[tuple[float, float, float]] = []
-    normals, seen = np.zeros((0, 3)), None
+    normals, seen = np.zeros((0, 3), np.float32), None
     for direction, points in trusted.items():
         if points is not seen:
             # Once for all coarse steps: they would take most of the time.
@@ -215,40 +216,32 @@ def _agreement(
     sweeps: list[_Points],
     motion: NDArray[np.float64],
     on: float = _ON,
-    normals: NDArray[np.float64] | None = None,
+    normals: NDArray[np.float32] | None = None,
 ) -> float:
     """Share of the points of the next sweeps that lie on surfaces of the first, by a motion."""
-    import small_gicp
-
     first, *others = sweeps
     surface = first.fewer(_SURFACE).moved(motion)
-    tree = small_gicp.KdTree(surface, 1)
     if normals is None:
         normals = _normals(first, motion)
     shares = []
     for sweep in others:
         points = sweep.fewer(_POINTS).moved(motion)
-        rows, squared = map(np.asarray, tree.batch_nearest_neighbor_search(points, 1))
+        rows, distance = _core.nearest_neighbors(surface, points, 1)
         off = np.abs(np.einsum("ij,ij->i", normals[rows], points - surface[rows]))
-        shares.append(np.mean((squared < _NEAR**2) * np.clip(1 - off / on, 0, None)))
+        shares.append(np.mean((distance < _NEAR) * np.clip(1 - off / on, 0, None)))
     return float(np.mean(shares))
 
 
-def _normals(first: _Points, motion: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normals(first: _Points, motion: NDArray[np.float64]) -> NDArray[np.float32]:
     """Normals (N, 3) of the surfaces that a sweep shows, by a motion."""
-    import small_gicp
-
-    surface = small_gicp.PointCloud(first.fewer(_SURFACE).moved(motion))
-    small_gicp.estimate_normals(surface, small_gicp.KdTree(surface, 1), _NEIGHBORS, 1)
-    normals: NDArray[np.float64] = surface.normals()[:, :3]
-    return normals
+    return _core.OrientedPoints(first.fewer(_SURFACE).moved(motion), _NEIGHBORS, 1).normals
 
 
 def _registered(sweeps: list[_Points], motion: NDArray[np.float64]) -> NDArray[np.float64]:
     """What registration of the second sweep on the first makes of a motion."""
     registration, start = Registration(_VOXEL, _SAMPLING, _MAP_NEIGHBORS, 1), np.eye(4)
-    registration.take(sweeps[0].moved(motion).astype(np.float32), start)
+    registration.take(sweeps[0].moved(motion), start)
     registration.insert(start)
-    registration.take(sweeps[1].moved(motion).astype(np.float32), start)
+    registration.take(sweeps[1].moved(motion), start)
     more: NDArray[np.float64] = registration.align(start)[0] @ motion
     return more

@@ -1,6 +1,6 @@
 """LiDAR odometry: a pose for each sweep, and the sweeps deskewed to their stamps (paper III-B).
 
-small_gicp registers the sweeps in two passes, distribution to distribution. The first finds the
+The sweeps are registered in two passes, distribution to distribution. The first finds the
 poses in coarse voxels, on sweeps deskewed with the motion before them. The second refines them in
 fine voxels, on sweeps deskewed with the motion around them. In both, positions are filtered and
 smoothed (see :mod:`docdepth.odometry.smoothing`). The second pass follows the first a few sweeps
@@ -14,12 +14,12 @@ import logging
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+import docdepth._core as _core
 from docdepth.concurrency import Progress, thread_count
 from docdepth.config import OdometryParameters, Parameters, given
 from docdepth.datasets.base import Dataset
@@ -255,9 +255,9 @@ def _log(
     if folder is None:
         return RegistrationLog()
     times = zlib.crc32(np.asarray(dataset.times, "<i8").tobytes())
-    registered_by = f"small_gicp {version('small_gicp')}"
     place = Path(dataset.path).resolve()
-    key = f"{place} {len(dataset)} {times} {registered_by} {parameters.model_dump_json()}"
+    made_by = f"docdepth {_core.__version__}"
+    key = f"{place} {len(dataset)} {times} {made_by} {parameters.model_dump_json()}"
     return RegistrationLog(folder / f"{name}.log", key)
 
 

@@ -1,12 +1,11 @@
-"""A sweep registered on a map by small_gicp, distribution to distribution."""
+"""A sweep registered on a map, distribution to distribution."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import docdepth._core as _core
 from docdepth.geometry.se3 import nearest_rigid
 from docdepth.odometry.level_ground import split_level_ground
 from docdepth.odometry.traffic import Traffic
@@ -16,18 +15,9 @@ FEWEST_POINTS = 50
 
 UNKNOWN = 1e2  # metres and radians; standard deviation of a pose that was not measured
 
-_THREADS = 1  # sums of several threads come in any order: poses would differ from run to run
-_ALIGN = {
-    "max_correspondence_distance": 1.0,  # metres, to the mean of a voxel
-    "num_threads": _THREADS,
-    "max_iterations": 30,
-    "rotation_epsilon": 1e-4,  # radians
-    "translation_epsilon": 5e-4,  # metres
-}
-
 
 class Registration:
-    """small_gicp's map of voxels, each a normal distribution, and its VGICP.
+    """A map of voxels, each a normal distribution, on which sweeps are registered (VGICP).
 
     Parameters
     ----------
@@ -38,23 +28,19 @@ class Registration:
     neighbors : int
         Points from which the normal of a point is taken.
     threads : int
-        For the normals of a sweep.
+        The result does not depend on them.
     """
 
     def __init__(
         self, voxel_size: float, sampling: float | None, neighbors: int, threads: int
     ) -> None:
-        import small_gicp
-
-        self._small_gicp = small_gicp
-        self._map = small_gicp.GaussianVoxelMap(voxel_size)
-        self._voxel_size, self._sampling = voxel_size, sampling
-        self._neighbors, self._threads = neighbors, threads
-        self._empty, self._traffic = True, Traffic()
-        self._cloud: Any = None
+        self._map = _core.GaussianVoxelMap(voxel_size)
+        self._voxel_size, self._sampling, self._threads = voxel_size, sampling, threads
+        self._neighbors, self._empty, self._traffic = neighbors, True, Traffic()
+        self._cloud: _core.OrientedPoints | None = None
 
     def take(self, points: NDArray[np.float32], guess: NDArray[np.float64]) -> None:
-        """Take the next deskewed sweep, without traffic: its points get their distributions.
+        """Take the next deskewed sweep, without traffic: its points get their normals.
 
         Parameters
         ----------
@@ -62,18 +48,16 @@ class Registration:
         guess : ndarray of float64, shape (4, 4)
             Where it was taken, about.
         """
-        small_gicp, thinned = self._small_gicp, points.astype(np.float64)
         if self._sampling is not None:
-            thinned = small_gicp.voxelgrid_sampling(thinned, self._sampling).points()[:, :3]
+            times = np.zeros(len(points), np.float32)
+            points, _ = _core.thin_sweep(points, times, self._sampling, 0.0, 1e6)
         # One point in each voxel of the map; and level ground, if it is most of them.
-        rising, road = split_level_ground(thinned, self._voxel_size)
+        rising, road = split_level_ground(points.astype(np.float64), self._voxel_size)
         seen = rising if len(road) else np.zeros((0, 3))
         along = self._traffic.left_out(seen, guess)
         rising = rising[~along] if along.any() else rising
-        cloud = small_gicp.PointCloud(np.concatenate([rising, road]) if len(road) else rising)
-        tree = small_gicp.KdTree(cloud)
-        small_gicp.estimate_covariances(cloud, tree, self._neighbors, self._threads)
-        self._cloud = cloud
+        kept = np.concatenate([rising, road]) if len(road) else rising
+        self._cloud = _core.OrientedPoints(kept.astype(np.float32), self._neighbors, self._threads)
 
     def align(self, guess: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Register the sweep that was taken, from an initial guess (4, 4).
@@ -84,29 +68,17 @@ class Registration:
         covariance : ndarray of float64, shape (6, 6)
             Of its rotation [rad^2] and its position [m^2], about the axes of the world.
         """
-        pose, covariance = guess.copy(), UNKNOWN**2 * np.eye(6)
         if self._empty:
-            covariance = np.zeros((6, 6))  # it is the frame of all poses
-        else:
-            found = self._small_gicp.align(
-                self._map, self._cloud, init_T_target_source=guess, **_ALIGN
-            )
-            # With too few inliers the guess stays.
-            if found.num_inliers >= FEWEST_POINTS and np.isfinite(found.T_target_source).all():
-                # Row by row, as poses are stored: products of other layouts differ in the last bit.
-                pose = np.array(nearest_rigid(found.T_target_source), order="C")
-                covariance = _covariance(found.H, pose)
-        return pose, covariance
+            return guess.copy(), np.zeros((6, 6))  # it is the frame of all poses
+        assert self._cloud is not None
+        pose, hessian, inliers = self._map.align(self._cloud, guess, self._threads)
+        # With too few inliers the guess stays.
+        if inliers < FEWEST_POINTS or not np.isfinite(pose).all():
+            return guess.copy(), UNKNOWN**2 * np.eye(6)
+        return nearest_rigid(pose), np.linalg.inv(hessian + UNKNOWN**-2 * np.eye(6))
 
     def insert(self, pose: NDArray[np.float64]) -> None:
         """Add the sweep that was taken to the map."""
+        assert self._cloud is not None
         self._map.insert(self._cloud, pose)
         self._empty = False
-
-
-def _covariance(hessian: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Covariance (6, 6) about the axes of the world, of a Hessian about those of the LiDAR."""
-    turn = np.kron(np.eye(2), pose[:3, :3])
-    inverse_hessian = np.linalg.inv(np.asarray(hessian) + UNKNOWN**-2 * np.eye(6))
-    covariance: NDArray[np.float64] = turn @ inverse_hessian @ turn.T
-    return covariance

@@ -20,7 +20,8 @@ from docdepth.errors import RunError
 
 log = logging.getLogger(__name__)
 
-# small_gicp's map deletes every tenth insertion the voxels that the last hundred did not touch.
+# As RegistrationOptions of the core: every tenth insertion, the map deletes the voxels that the
+# last hundred did not touch.
 _HORIZON, CLEAR_CYCLE = 100, 10
 FORGOTTEN = _HORIZON + CLEAR_CYCLE
 """Insertions after which a voxel that none of them touches is no longer in the map."""
@@ -127,7 +128,7 @@ class RegistrationLog:
 
 
 def first_insertion(positions: NDArray[np.float64], reach: float) -> int:
-    """The first insertion that a map of small_gicp still shows.
+    """The first insertion that a map still shows.
 
     A voxel of the map was touched by one of the last :data:`FORGOTTEN` insertions, and only by
     those within reach of it. It is new where as many in a row left it out.

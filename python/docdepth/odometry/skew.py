@@ -15,6 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+import docdepth._core as _core
 from docdepth.config import OdometryParameters
 from docdepth.datasets.base import Dataset, Sweep
 from docdepth.datasets.files import readable
@@ -179,15 +180,11 @@ def _voxels(clouds: Sequence[NDArray[np.float64]]) -> int:
 
 def _distance_off(clouds: Sequence[NDArray[np.float64]]) -> float:
     """Mean distance of points from the surfaces of an earlier cloud [m]."""
-    import small_gicp
-
-    thin = [small_gicp.PointCloud(cloud) for cloud in clouds]
+    thin = [cloud.astype(np.float32) for cloud in clouds]
     apart, means = min(_APART, len(clouds) - 1), []
     for before, after in zip(thin, thin[apart:], strict=False):
-        tree, points = small_gicp.KdTree(before, 1), after.points()[:, :3]
-        small_gicp.estimate_normals(before, tree, _NEIGHBORS, 1)
-        rows, squared = map(np.asarray, tree.batch_nearest_neighbor_search(points, 1))
-        away = points - before.points()[rows, :3]
-        off = np.abs(np.einsum("ij,ij->i", before.normals()[rows, :3], away))
-        means.append(np.minimum(off, _MOST_OFF)[squared < _NEAR**2].mean())
+        normals = _core.OrientedPoints(before, _NEIGHBORS, 1).normals
+        rows, distance = _core.nearest_neighbors(before, after, 1)
+        off = np.abs(np.einsum("ij,ij->i", normals[rows], after - before[rows]))
+        means.append(np.minimum(off, _MOST_OFF)[distance < _NEAR].mean())
     return float(np.mean(means))

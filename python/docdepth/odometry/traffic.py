@@ -10,12 +10,11 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import docdepth._core as _core
 from docdepth.geometry.se3 import inverse
 
 SEEN = 15
@@ -28,7 +27,6 @@ _SAME_PLACE = 0.5  # metres; a sweep from behind met what stands so near by
 _ALONG, _ASIDE = 1.0, 0.3
 """What traffic moves from sweep to sweep at most, as seen from the vehicle: along its way and aside
 [m]. A vehicle that goes less than the first cannot tell traffic from what stands."""
-_THREADS = 1  # of small_gicp
 
 
 class Traffic:
@@ -64,7 +62,7 @@ class Traffic:
         for sweep in behind:
             T = inverse(sweep.pose) @ pose
             there = points[rows] @ T[:3, :3].T + T[:3, 3]
-            rows = rows[_distance(sweep.tree, there) > _SAME_PLACE]
+            rows = rows[_distance(sweep.points, there) > _SAME_PLACE]
         along[rows] = True
         return along
 
@@ -76,10 +74,6 @@ class _Sweep:
     pose: NDArray[np.float64]
     points: NDArray[np.float64]
 
-    @cached_property
-    def tree(self) -> Any:
-        return _tree(self.points)
-
 
 def _moved_little(
     points: NDArray[np.float64], pose: NDArray[np.float64], before: _Sweep
@@ -89,18 +83,10 @@ def _moved_little(
     ahead = ahead / np.linalg.norm(ahead)
     # Distances aside count as much more as they may be smaller.
     stretch = np.eye(3) + (_ALONG / _ASIDE - 1) * (np.eye(3) - np.outer(ahead, ahead))
-    near: NDArray[np.bool_] = _distance(_tree(before.points @ stretch), points @ stretch) < _ALONG
+    near: NDArray[np.bool_] = _distance(before.points @ stretch, points @ stretch) < _ALONG
     return near
 
 
-def _tree(points: NDArray[np.float64]) -> Any:
-    import small_gicp
-
-    return small_gicp.KdTree(points, _THREADS)
-
-
-def _distance(tree: Any, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    if not len(points):
-        return np.zeros(0)
-    squared = np.asarray(tree.batch_nearest_neighbor_search(points, _THREADS)[1])
-    return np.sqrt(squared)
+def _distance(others: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float32]:
+    """From each point to the nearest of others."""
+    return _core.nearest_neighbors(others.astype(np.float32), points.astype(np.float32), 1)[1]
