@@ -107,7 +107,7 @@ def run_docdepth(
 
         setattr(pipeline, name, timed)
     for prepare in ("keep_memory", "take_one_blas_thread", "have_threads_sleep"):
-        getattr(cli, prepare, lambda: None)()  # as main() does; earlier versions lack some
+        getattr(cli, prepare, lambda: None)()  # as main() does; each version lacks some
     with tempfile.TemporaryDirectory() as folder, steps_timed() as spent:
         run = Path(folder) / "run"
         command = ["run", drive, "-o", str(run), "--preset", preset, "--frames", frames, "-q"]

@@ -87,7 +87,7 @@ std::unique_ptr<MeshFrame> make_mesh_frame(
     const Array<std::uint16_t>& object_index, const Array<float>& motion,
     const std::optional<Array<float>>& time_offset, const std::optional<Array<float>>& displacement,
     const std::optional<Array<float>>& ray_origins, const std::optional<Array<std::uint8_t>>& drawn,
-    float half_beam) {
+    float widening) {
   const PointMap map = as_points(points);
   const Points from = rows_of(ray_origins, map, "ray_origins");
   const Points moved = rows_of(displacement, map, "displacement");
@@ -111,14 +111,13 @@ std::unique_ptr<MeshFrame> make_mesh_frame(
       reinterpret_cast<const std::uint32_t (*)[3]>(as_rows(triangles, map.rows(), "triangles"));
   const std::uint32_t* alone = as_rows(isolated, map.rows(), "isolated");
   in_range(isolated_angle, 0, 1, "isolated_angle");
-  in_range(half_beam, 0, 1, "half_beam");
+  in_range(widening, 0, 1, "widening");
   const std::uint8_t* shown = drawn ? as_column(*drawn, motion.shape(0), "drawn") : nullptr;
   const py::gil_scoped_release release;
   const Points measured = map;
   Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor> narrowed;
-  if (half_beam > 0)
-    narrowed = narrow_beams(measured, corners, jumps, std::size_t(count), half_beam);
-  const Points all = half_beam > 0 ? Points(narrowed) : measured;
+  if (widening > 0) narrowed = narrow_beams(measured, corners, jumps, std::size_t(count), widening);
+  const Points all = widening > 0 ? Points(narrowed) : measured;
   return std::make_unique<MeshFrame>(
       MeshParts{all, corners, jumps, std::size_t(count), alone, std::size_t(isolated.size()),
                 isolated_angle, classes, object_indices, motions, shown, times,
@@ -226,7 +225,7 @@ void bind_render(py::module_& m) {
       .def(py::init(&make_mesh_frame), "points"_a, "classid"_a, "triangles"_a, "discontinuity"_a,
            "isolated"_a, "isolated_angle"_a, "object_index"_a, "motion"_a,
            "time_offset"_a = py::none(), "displacement"_a = py::none(),
-           "ray_origins"_a = py::none(), "drawn"_a = py::none(), "half_beam"_a = 0.0f);
+           "ray_origins"_a = py::none(), "drawn"_a = py::none(), "widening"_a = 0.0f);
   py::class_<Rays>(m, "Rays")
       .def(py::init(&make_rays), "points"_a, "normals"_a, "ray_origins"_a = py::none())
       .def("query_visibility", &query_visibility, "points"_a);

@@ -178,19 +178,6 @@ def test_numpy_multiplies_in_the_calling_thread(wanted: str | None) -> None:
         assert threads == "1"
 
 
-@pytest.mark.parametrize("wanted", [None, "ACTIVE"])
-def test_waiting_threads_sleep(wanted: str | None) -> None:
-    """Unless the user wants other. OpenMP reads it when it is loaded, with small_gicp."""
-    script = (
-        "import os, sys\n"
-        "from docdepth.cli import have_threads_sleep\n"
-        "have_threads_sleep()\n"
-        "print(os.environ['OMP_WAIT_POLICY'], 'small_gicp' in sys.modules)\n"
-    )
-    told = in_new_process(script, "OMP_WAIT_POLICY", wanted)
-    assert told == [wanted or "PASSIVE", "False"]
-
-
 def test_a_run_without_a_place_is_named_after_its_recording(
     drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

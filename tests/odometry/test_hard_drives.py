@@ -54,13 +54,23 @@ def test_a_narrow_view_does_not_turn_away(tmp_path: Path) -> None:
     """Points ahead fit a step to the side as well as a turn, so a rotation follows its position.
 
     Where rotations stayed as registered, this drive ended 11 degrees a sweep off. So little holds
-    the vehicle here that rounding moves the largest turn: it is 0.1 to 0.9 degrees on copies of
-    the drive whose points are moved by a millionth.
+    the vehicle here that rounding decides: one of sixteen copies whose points are moved by a
+    millionth turns by up to 0.9 degrees. So the median of five has the bound.
     """
     write_drive(tmp_path, "highway", "Avia", 70, 7, skew=True, images=False)
-    steps, exact = (inverse(poses[:-1]) @ poses[1:] for poses in registered(tmp_path))
-    turns = np.degrees([rotation_log(error[:3, :3]) for error in inverse(exact) @ steps])
-    assert np.linalg.norm(turns, axis=1).max() < 1.5
+    files = sorted((tmp_path / "sequences" / "00" / "velodyne").glob("*.bin"))
+    sweeps, largest = [np.fromfile(file, np.float32).reshape(-1, 4) for file in files], []
+    for copy in range(5):
+        rng = np.random.default_rng(copy)
+        for file, sweep in zip(files, sweeps, strict=True):
+            moved = sweep.copy()
+            moved[:, :3] *= 1 + (copy > 0) * rng.normal(0, 1e-6, (len(sweep), 3))
+            moved.tofile(file)
+        steps, exact = (inverse(poses[:-1]) @ poses[1:] for poses in registered(tmp_path))
+        turns = np.degrees([rotation_log(error[:3, :3]) for error in inverse(exact) @ steps])
+        largest.append(np.linalg.norm(turns, axis=1).max())
+    assert np.median(largest) < 0.5
+    assert max(largest) < 1.5
 
 
 def test_sixteen_beams_do_not_pitch(tmp_path: Path) -> None:

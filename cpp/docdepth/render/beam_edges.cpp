@@ -30,8 +30,7 @@ struct Turn {
 }  // namespace
 
 Matrix narrow_beams(const Points& points, const std::uint32_t (*triangles)[3],
-                    const std::uint8_t* discontinuity, std::size_t triangle_count,
-                    float half_beam) {
+                    const std::uint8_t* discontinuity, std::size_t triangle_count, float widening) {
   Matrix narrowed = points;
   std::vector<Turn> turns(points.rows());
   for (std::size_t t = 0; t < triangle_count; ++t) {
@@ -54,7 +53,7 @@ Matrix narrow_beams(const Points& points, const std::uint32_t (*triangles)[3],
     const Turn& turn = turns[i];
     if (!(turn.weight > 0)) continue;
     const Vector point = points.row(i);
-    const float range = point.norm(), angle = std::min(half_beam, turn.nearest / 2);
+    const float range = point.norm(), angle = std::min(widening, turn.nearest / 2);
     narrowed.row(i) = range * (point / range + angle / turn.weight * turn.toward).normalized();
   }
   return narrowed;

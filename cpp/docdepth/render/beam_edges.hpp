@@ -16,9 +16,9 @@ namespace docdepth {
 /// most by half of the angle between them. A return that is alone between two jumps stays.
 /// @param triangles      of the scan mesh
 /// @param discontinuity  1 for each triangle across a depth jump
-/// @param half_beam      by which a thing is seen too wide on each side [rad]
+/// @param widening       by which a thing is seen too wide on each side [rad]
 Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor> narrow_beams(
     const Points& points, const std::uint32_t (*triangles)[3], const std::uint8_t* discontinuity,
-    std::size_t triangle_count, float half_beam);
+    std::size_t triangle_count, float widening);
 
 }  // namespace docdepth

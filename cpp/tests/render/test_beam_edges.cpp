@@ -27,11 +27,11 @@ struct Sweep {
   }
   float azimuth_of(int column) const { return kStep * float(column - kColumns / 2) + shift; }
 
-  auto narrowed(float half_beam) const {
+  auto narrowed(float widening) const {
     const Points all = points;
     const ScanMesh mesh = build_scan_mesh(all, {});
     const auto* corners = reinterpret_cast<const std::uint32_t (*)[3]>(mesh.triangles.data());
-    return narrow_beams(all, corners, mesh.discontinuity.data(), mesh.triangles.size(), half_beam);
+    return narrow_beams(all, corners, mesh.discontinuity.data(), mesh.triangles.size(), widening);
   }
 };
 

@@ -108,21 +108,10 @@ _SET_BLAS_THREADS = (
 )
 
 
-def have_threads_sleep() -> None:
-    """Have threads of OpenMP sleep while they wait for work, unless OMP_WAIT_POLICY is set.
-
-    small_gicp's second thread has work for some milliseconds of each sweep, and would wait for more
-    by turning round: a twentieth of the processor time of a run. Call it before small_gicp is
-    imported.
-    """
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-
-
 def main() -> None:
     """Entry point: every end without a result is a sentence and an exit code, never a traceback."""
     keep_memory()
     take_one_blas_thread()
-    have_threads_sleep()
     print_any_path()
     try:
         code = app(standalone_mode=False)

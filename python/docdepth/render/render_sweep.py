@@ -25,10 +25,10 @@ ISOLATED_SIZE_DEG = 0.1
 """Triangles: half the diagonal of the square drawn for a return that belongs to no triangle, as the
 LiDAR sees it [deg]. Half the angle between two returns of a common spinning LiDAR."""
 
-SEEN_BEAM = 0.2
-"""Triangles: share of a beam by which things are drawn narrower on each side, where it has a width
-[-]. Half a beam is too much: a beam returns from what gives the stronger echo, not from the nearer
-thing, and other sweeps see other parts of an edge."""
+WIDENING = 0.2
+"""Triangles: share of the width of a beam by which things are seen too wide on each side, and drawn
+narrower [-]. Half of it is too much: a beam returns from what gives the stronger echo, not from the
+nearer thing, and other sweeps see other parts of an edge."""
 
 Part: TypeAlias = tuple[Any, NDArray[np.float64]]
 """What the core draws (``_core.Frame`` of splats, ``_core.MeshFrame`` of triangles), and the pose
@@ -95,8 +95,8 @@ class RenderSweep:
         # This mesh differs from the one that votes use: its ray origins move with the vehicle,
         # which changes which returns are neighbours, and points beyond the crop are missing.
         meshes = ScanMesh(points, sensor_rig=sensor_rig).parts
-        half_beam = SEEN_BEAM * (sensor_rig.beam_width if sensor_rig is not None else 0.0)
-        self.parts = [_part(mesh, classid, self.objects, half_beam) for mesh in meshes]
+        widening = WIDENING * (sensor_rig.beam_width if sensor_rig is not None else 0.0)
+        self.parts = [_part(mesh, classid, self.objects, widening) for mesh in meshes]
         # Rows of other LiDARs are NaN.
         indices = [
             self.objects.object_index[np.isfinite(mesh.view.points[:, 0])] for mesh in meshes
@@ -196,7 +196,7 @@ def _within_crop(
 
 
 def _part(
-    mesh: LidarMesh, classid: NDArray[np.uint16], objects: DynamicObjects, half_beam: float
+    mesh: LidarMesh, classid: NDArray[np.uint16], objects: DynamicObjects, widening: float
 ) -> Part:
     """The mesh of one LiDAR as the core draws it; rows of other LiDARs are NaN and left out."""
     points, ray_origins = mesh.view.points, mesh.view.ray_origins()
@@ -228,6 +228,6 @@ def _part(
         displacement,
         ray_origins,
         objects.visible,
-        half_beam,
+        widening,
     )
     return core, mesh.view.T_lidar_sensor
