@@ -96,7 +96,7 @@ def test_a_rosette_between_lorries(road, degrees: float, first: int) -> None:
     assert error(dataset, dataset.poses, degrees, first) < 0.25
 
 
-@pytest.mark.parametrize(("speed", "turn"), [(0.0, 0.0), (3.5, 0.06)])
+@pytest.mark.parametrize(("speed", "turn"), [(0.0, 0.0), (0.8, 0.02), (3.5, 0.06)])
 def test_a_known_motion(speed: float, turn: float) -> None:
     drive = Drive(5, motion=se3_exp(np.array([0.0, 0.0, turn]), np.array([speed, 0.0, 0.0])))
     assert error(drive, drive.exact) < 0.05
