@@ -8,6 +8,7 @@ void bind_odometry(pybind11::module_& m);
 void bind_voting(pybind11::module_& m);
 void bind_objects(pybind11::module_& m);
 void bind_render(pybind11::module_& m);
+void bind_occupancy(pybind11::module_& m);
 }  // namespace docdepth::bindings
 
 PYBIND11_MODULE(_core, m) {
@@ -22,4 +23,5 @@ PYBIND11_MODULE(_core, m) {
   docdepth::bindings::bind_voting(m);
   docdepth::bindings::bind_objects(m);
   docdepth::bindings::bind_render(m);
+  docdepth::bindings::bind_occupancy(m);
 }

@@ -29,7 +29,7 @@ def convert(
         Path,
         typer.Argument(
             metavar="OUT",
-            help="New file of poses, new folder of labels or photos, or folder of depth.",
+            help="New file of poses, new folder of labels, photos or voxels, or folder of depth.",
         ),
     ],
     to: Annotated[
@@ -38,7 +38,8 @@ def convert(
             f"Poses: {', '.join(POSE_FORMATS)}. Labels: label (SemanticKITTI), classid (NPY), "
             "pcd (as DynamicMap_Benchmark, the class as intensity). Depth: proj_depth (as KITTI "
             "releases it, OUT/DRIVE/proj_depth/groundtruth/CAMERA). Photos, poses, depth, masks of "
-            "what moves and the static map: nerfstudio, colmap. All of a run as a ROS 2 bag: mcap.",
+            "what moves and the static map: nerfstudio, colmap. All of a run as a ROS 2 bag: mcap. "
+            "Voxels around the vehicle, as Occ3D has them: occupancy.",
             **one_of((*POSE_FORMATS, *LABEL_FORMATS, *DEPTH_FORMATS, *EXPORTS)),
         ),
     ],
@@ -57,6 +58,7 @@ def convert(
     docdepth convert RUN release --to proj_depth
     docdepth convert RUN scene --to nerfstudio
     docdepth convert RUN bag --to mcap
+    docdepth convert RUN voxels --to occupancy
     """
     if to in EXPORTS and (camera or dataset):
         raise ConfigError(f"{to} is written of a run and all its cameras: leave the option out")
@@ -66,6 +68,10 @@ def convert(
         else:
             count = converting.convert(source, output, to, dataset, camera, progress)
     if not volume.quiet:
-        named = {"poses": POSE_FORMATS, "depth maps": DEPTH_FORMATS, "images": EXPORTS}
+        named = {
+            "poses": POSE_FORMATS,
+            "depth maps": DEPTH_FORMATS,
+            "images": EXPORTS.keys() - {"occupancy"},
+        }
         what = next((what for what, formats in named.items() if to in formats), "sweeps")
         say(f"{count} {what} in {output}")

@@ -10,20 +10,22 @@ from docdepth.errors import ConfigError
 from docdepth.export.colmap import write_colmap
 from docdepth.export.mcap import write_mcap
 from docdepth.export.nerfstudio import write_nerfstudio
+from docdepth.export.occupancy import write_occupancy
 from docdepth.pipeline.run_reader import Run, open_run
 
 EXPORTS: dict[str, Callable[[Run, Path, Progress | None], int]] = {
     "nerfstudio": write_nerfstudio,
     "colmap": write_colmap,
     "mcap": write_mcap,
+    "occupancy": write_occupancy,
 }
-"""What writes each layout; it returns how many images it has written."""
+"""What writes each layout; it returns how many images it has written, or sweeps of occupancy."""
 
 
 def export(
     run: Run | Path | str, output: Path | str, to: str, progress: Progress | None = None
 ) -> int:
-    """Write the photos, poses, depth, masks and points of a run for another program.
+    """Write the photos, poses, depth, masks, points or occupancy of a run for another program.
 
     Parameters
     ----------
@@ -33,12 +35,12 @@ def export(
     to : str
         One of :data:`EXPORTS`.
     progress : callable, optional
-        Called with the step, the images done and their number.
+        Called with the step, what is done and how much there is.
 
     Returns
     -------
     int
-        Images.
+        Images, or sweeps of occupancy.
 
     Raises
     ------

@@ -32,6 +32,7 @@ from docdepth.pipeline.cameras import camera_parameters, run_cameras
 from docdepth.pipeline.cloud_map import VOXEL, CloudMap, gather_map
 from docdepth.pipeline.run_inputs import recording_of
 from docdepth.render.layers import LAYERS, TRIANGLES_ONLY
+from docdepth.render.occupancy import MountedCamera, Occupancy, OccupancyGrids
 from docdepth.render.scene import Scene, render_layers
 from docdepth.visualization.pictures import overlay
 
@@ -133,6 +134,31 @@ class Run:
             The frames were deleted, or are not classified.
         """
         return gather_map(self.folder, voxel)[0]
+
+    def occupancy(self, index: int) -> Occupancy:
+        """What is free and what is occupied around the vehicle at a sweep.
+
+        The rays of some fifty sweeps are kept for the next call, so ask in order of time.
+
+        Parameters
+        ----------
+        index : int
+            Of the sweep; negative ones count from the end.
+
+        Raises
+        ------
+        RunError
+            The frames were deleted, or are not classified.
+        InputError
+            No ground is found below the vehicle.
+        """
+        return self._occupancy.at(_place(index, len(self.sweeps), "sweeps"))
+
+    @cached_property
+    def _occupancy(self) -> OccupancyGrids:
+        recorded = [entry for entry in self.folder.cameras.values() if entry.virtual is None]
+        cameras = [MountedCamera(*self.folder.calibration(entry.folder)[:2]) for entry in recorded]
+        return OccupancyGrids(self.sweeps, self.trajectory, self.tracks, cameras)
 
 
 class RunSweeps(Sequence[LidarFrame]):
