@@ -17,9 +17,13 @@ constexpr float kMovingFreeShare = 0.05f;
 /// Where this share is transient, the object moves in any case: of sparse ones it is not known
 /// which places were free (kMaxIsolatedShare).
 constexpr float kSurelyTransientShare = 0.99f;
-/// Of what moves at most this share is porous: 0.13 on drives of which the truth is known, where it
-/// is 0.52 and more of fences that seem to move.
+/// Of what moves alone at most this share is porous: 0.13 on drives of which the truth is known,
+/// where it is 0.52 and more of fences that seem to move.
 constexpr float kMaxPorousShare = 1 / 3.0f;
+/// Vehicles that follow each other closely have a larger one, of KITTI drives as well. But their
+/// places are free before the first and after the last of them: this times as much of a fence is
+/// porous as was free before or after.
+constexpr float kPorousRatio = 2;
 /// An object that is never seen to move stands where for so long [s] this share of it was free, in
 /// the mean.
 constexpr double kFreeWindow = 2;
@@ -77,12 +81,13 @@ bool is_transient_while_moving(const ObjectTrack& object, const std::vector<doub
 /// Whether rays hit and passed much of it in turn, sooner than road users follow each other: a
 /// fence or a twig of which each sweep hits another part.
 bool is_porous(const Track& track) {
-  float area = 0, porous_area = 0;
+  float area = 0, porous_area = 0, free_area = 0;
   for (const TrackObservation& seen : track.observations) {
     area += seen.area;
     porous_area += seen.porous_area;
+    free_area += seen.free_area;
   }
-  return porous_area > kMaxPorousShare * area;
+  return porous_area > kMaxPorousShare * area && porous_area > kPorousRatio * free_area;
 }
 
 bool is_thin(const TrackPath& path) {
