@@ -304,14 +304,14 @@ def test_poses_that_do_not_fit_the_sweeps(what: str) -> None:
     elif what == "in another order":
         poses = poses[np.random.default_rng(1).permutation(10)]
     deskewed = register_drive(drive, poses=drive.exact).sweeps
-    found = find_misfit(lambda k: deskewed[k].points, poses)
+    found = find_misfit(lambda k: deskewed[k].points, poses, drive.times)
     assert [f.code for f in found] == ["poses-misfit"] * (what != "right")
 
 
 @pytest.mark.parametrize("count", [1, 3, 4])
 def test_short_drives_have_nothing_that_could_misfit(count: int) -> None:
-    points = np.zeros((100, 3), np.float32)
-    assert find_misfit(lambda _: points, np.repeat(np.eye(4)[None], count, axis=0)) == []
+    points, still = np.zeros((100, 3), np.float32), np.repeat(np.eye(4)[None], count, axis=0)
+    assert find_misfit(lambda _: points, still, np.arange(count) * 10**8) == []
 
 
 def test_sweeps_without_points_in_range_are_told_once() -> None:

@@ -90,7 +90,9 @@ def test_other_parameters_begin_anew(drive, tmp_path) -> None:
     assert len(set(drive.read)) == COUNT
 
 
-@pytest.mark.parametrize(("name", "cut"), [("pass_1.log", -1000), ("pass_2.log", -100)])
+@pytest.mark.parametrize(
+    ("name", "cut"), [("pass_1_from_0.log", -1000), ("pass_2_from_0.log", -100)]
+)
 def test_a_torn_log_is_taken_up_to_the_tear(drive, whole, tmp_path, name: str, cut: int) -> None:
     with pytest.raises(Stopped):
         estimate_poses(drive, progress=until(10), checkpoint=tmp_path)

@@ -168,7 +168,10 @@ def _look_at_poses(recording: Dataset, result: Inspection, source: str) -> None:
             if not wrong and np.ptp(poses, axis=0).any():
                 with collected(found):
                     found += find_misfit(
-                        lambda k: recording.sweep(k).points, poses, _PARAMETERS.odometry
+                        lambda k: recording.sweep(k).points,
+                        poses,
+                        recording.times,
+                        _PARAMETERS.odometry,
                     )
         result.findings += found
     figures["ego"] = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +16,17 @@ from docdepth.geometry.se3 import check_rigid, rotation_exp, rotation_log
 _JITTER = 0.05  # metres; poses of a standing sensor differ by less
 _KEPT = 256  # an image asks for the same few times again and again; bounded as in track.py
 _EARLY = 0.95  # share of a duration that counts as all of it, since stamps jitter
+_GAP, _GAP_PERIODS = 1.0, 3.5
+"""A gap is longer than so many seconds, and so many usual times from one stamp to the next. Within
+a second a vehicle drives on as it did; after it, it may have braked or turned."""
+
+
+def parts_of(times: NDArray[np.int64]) -> list[range]:
+    """Parts between the gaps of stamps (n,) [ns], as ranges of indices."""
+    steps = np.diff(times)
+    longest = max(1e9 * _GAP, _GAP_PERIODS * float(np.median(steps))) if len(steps) else np.inf
+    ends = [0, *(np.flatnonzero(steps > longest) + 1).tolist(), len(times)]
+    return [range(first, end) for first, end in pairwise(ends)]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,6 +95,15 @@ class Trajectory(ShortRepr):
             )
 
     @cached_property
+    def parts(self) -> list[range]:
+        """The poses between gaps, see :func:`parts_of`."""
+        return parts_of(self.times)
+
+    def part(self, index: int) -> range:
+        """The part that a pose belongs to."""
+        return next(part for part in self.parts if index < part.stop)
+
+    @cached_property
     def arc_length(self) -> NDArray[np.float64]:
         """Path length from the first pose to each pose, shape (n,), metres, read-only.
 
@@ -92,9 +113,10 @@ class Trajectory(ShortRepr):
         positions = self.poses[:, :3, 3]
         arc = np.zeros(len(self))
         kept, base = positions[0], 0.0
+        begin = {part.start for part in self.parts}
         for i in range(1, len(self)):
             distance = float(np.linalg.norm(positions[i] - kept))
-            if distance >= _JITTER:
+            if distance >= _JITTER or i in begin:
                 base, kept = base + distance, positions[i]
             arc[i] = base
         arc.setflags(write=False)
@@ -113,17 +135,19 @@ class Trajectory(ShortRepr):
         Returns
         -------
         ndarray of int64, shape (k,)
-            Increasing. The end of the path is taken too: without it no key frame would look back
-            at the last sweeps.
+            Increasing. Each part of the path begins anew, and its end is taken too: without it no
+            key frame would look back at its last sweeps.
         """
         arc, seconds = self.arc_length.tolist(), ((self.times - self.times[0]) * 1e-9).tolist()
-        kept = [0]
-        for i in range(1, len(self)):
-            overdue = seconds[i] - seconds[kept[-1]] >= _EARLY * duration
-            if overdue or arc[i] - arc[kept[-1]] >= spacing:
-                kept.append(i)
-        if arc[-1] > arc[kept[-1]]:
-            kept.append(len(self) - 1)
+        kept = list[int]()
+        for part in self.parts:
+            kept.append(part.start)
+            for i in part[1:]:
+                overdue = seconds[i] - seconds[kept[-1]] >= _EARLY * duration
+                if overdue or arc[i] - arc[kept[-1]] >= spacing:
+                    kept.append(i)
+            if arc[part[-1]] > arc[kept[-1]]:
+                kept.append(part[-1])
         return np.array(kept)
 
     def nearest(self, time: int) -> int:
@@ -139,6 +163,13 @@ class Trajectory(ShortRepr):
         times = np.asarray(times, dtype=np.int64)
         covered: NDArray[np.bool_] = (times >= self.times[0]) & (times <= self.times[-1])
         return covered
+
+    def in_gap(self, times: ArrayLike) -> NDArray[np.bool_]:
+        """Which of ``times`` [ns] lie in a gap, where nobody knows how the sensor moved."""
+        times, within = np.asarray(times, dtype=np.int64), np.zeros(np.shape(times), bool)
+        for part, later in pairwise(self.parts):
+            within |= (times > self.times[part[-1]]) & (times < self.times[later[0]])
+        return within
 
     def interpolate(self, times: ArrayLike) -> NDArray[np.float64]:
         """Poses at any time within the trajectory (paper V-A).
@@ -192,10 +223,11 @@ class Trajectory(ShortRepr):
     def velocity(self, index: int) -> NDArray[np.float64]:
         """Velocity at pose ``index`` in the sensor's frame, shape (3,), metres a second.
 
-        By central differences, at the ends one-sided; 0 for a single pose.
+        By central differences, at ends and gaps one-sided; 0 for a single pose.
         """
         index = range(len(self))[index]
-        before, after = max(index - 1, 0), min(index + 1, len(self) - 1)
+        part = self.part(index)
+        before, after = max(index - 1, part.start), min(index + 1, part.stop - 1)
         seconds = (self.times[after] - self.times[before]) * 1e-9
         distance: NDArray[np.float64] = self.poses[after, :3, 3] - self.poses[before, :3, 3]
         return distance @ self.poses[index, :3, :3] / (seconds or 1.0)

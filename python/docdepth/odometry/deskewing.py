@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from docdepth.errors import InputError
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.se3 import inverse, se3_exp, se3_log, skew
+from docdepth.geometry.trajectory import parts_of
 
 NEIGHBORS = 2
 """Sweeps on either side whose poses give the motion of one."""
@@ -84,7 +85,8 @@ def centred_motion(
     """Motion of the sensor during one sweep around each stamp, fitted to neighbouring poses.
 
     The fit is a straight line through the twists to up to two poses before and two after. It passes
-    half as much jitter of the poses on to the points as one neighbour on either side would.
+    half as much jitter of the poses on to the points as one neighbour on either side would. Poses
+    beyond a gap are not used.
 
     Parameters
     ----------
@@ -108,9 +110,14 @@ def centred_motion(
         return np.repeat(np.eye(4)[None], len(frames), axis=0)
     stamps = np.arange(n) if times is None else np.asarray(times, dtype=np.int64)
     sweeps = (stamps - stamps[0]) / float(np.median(np.diff(stamps)))
-    motions = np.empty((len(frames), 4, 4))
+    motions = np.repeat(np.eye(4)[None], len(frames), axis=0)
+    parts = parts_of(stamps) if times is not None else [range(n)]
+    ends = np.array([part.stop for part in parts])
     for row, k in enumerate(frames):
-        around = np.arange(max(k - NEIGHBORS, 0), min(k + NEIGHBORS, n - 1) + 1)
+        part = parts[int(np.searchsorted(ends, k, "right"))]
+        around = np.arange(max(k - NEIGHBORS, part.start), min(k + NEIGHBORS + 1, part.stop))
+        if len(around) < 2:
+            continue
         twists = np.array([np.concatenate(se3_log(inverse(poses[k]) @ poses[j])) for j in around])
         x = sweeps[around] - sweeps[around].mean()
         slope = x @ twists / (x @ x)

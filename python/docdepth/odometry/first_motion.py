@@ -22,7 +22,7 @@ from docdepth.datasets.base import Sweep
 from docdepth.odometry.deskewing import deskew
 from docdepth.odometry.level_ground import rising_rows
 from docdepth.odometry.registration import FEWEST_POINTS, Registration
-from docdepth.odometry.sweeps import ThinnedSweeps, is_raw
+from docdepth.odometry.sweeps import SweepPart, ThinnedSweeps, is_raw
 
 FIRST_SWEEPS = 4
 """Sweeps from which the first motion is found. A motorway is straight for so long."""
@@ -79,12 +79,12 @@ class _Points(NamedTuple):
         return self.rows(slice(None, None, max(1, -(-len(self.points) // most))))
 
 
-def first_motion(sweeps: ThinnedSweeps, indices: range) -> NDArray[np.float64] | None:
+def first_motion(sweeps: ThinnedSweeps | SweepPart, indices: range) -> NDArray[np.float64] | None:
     """Motion (4, 4) in one sweep's duration at the first of these sweeps.
 
     Parameters
     ----------
-    sweeps : ThinnedSweeps
+    sweeps : ThinnedSweeps or SweepPart
     indices : range
         The first :data:`FIRST_SWEEPS` of them are read.
 
@@ -98,7 +98,7 @@ def first_motion(sweeps: ThinnedSweeps, indices: range) -> NDArray[np.float64] |
 
 
 def checked_motion(
-    sweeps: ThinnedSweeps, indices: range, motion: NDArray[np.float64]
+    sweeps: ThinnedSweeps | SweepPart, indices: range, motion: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
     """A motion, or the first motion of these sweeps if far more points agree with that.
 
@@ -106,7 +106,7 @@ def checked_motion(
 
     Parameters
     ----------
-    sweeps : ThinnedSweeps
+    sweeps : ThinnedSweeps or SweepPart
     indices : range
     motion : ndarray of float64, shape (4, 4)
         What is taken for the motion in one sweep's duration.
@@ -125,7 +125,7 @@ def checked_motion(
 
 
 def _search(
-    sweeps: ThinnedSweeps, indices: range, only_high: bool = False
+    sweeps: ThinnedSweeps | SweepPart, indices: range, only_high: bool = False
 ) -> tuple[NDArray[np.float64], list[_Points]] | None:
     """The first motion of these sweeps, and the points by which it was judged."""
     whole = _timed([sweeps[k] for k in indices[:FIRST_SWEEPS]])

@@ -4,7 +4,8 @@ The sweeps are registered in two passes, distribution to distribution. The first
 poses in coarse voxels, on sweeps deskewed with the motion before them. The second refines them in
 fine voxels, on sweeps deskewed with the motion around them. In both, positions are filtered and
 smoothed (see :mod:`docdepth.odometry.smoothing`). The second pass follows the first a few sweeps
-behind, so each sweep is read and thinned once for both. Loop closure is an option (see
+behind, so each sweep is read and thinned once for both. Parts between gaps are registered each by
+itself and then laid together (see :mod:`docdepth.odometry.parts`). Loop closure is an option (see
 :mod:`docdepth.odometry.loop_closure`).
 """
 
@@ -12,7 +13,7 @@ from __future__ import annotations
 
 import logging
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,10 +28,11 @@ from docdepth.datasets.up_axis import LEVEL_DEG, ground_of
 from docdepth.errors import Finding, InputError, log_findings
 from docdepth.geometry.checks import ShortRepr
 from docdepth.geometry.ground_plane import level_turn
-from docdepth.geometry.trajectory import Trajectory
+from docdepth.geometry.trajectory import Trajectory, parts_of
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.first_motion import FIRST_SWEEPS, first_motion
 from docdepth.odometry.loop_closure import close_loops
+from docdepth.odometry.parts import laid_together
 from docdepth.odometry.passes import KnownPoses, register
 from docdepth.odometry.places import KEPT_SWEEPS
 from docdepth.odometry.pose_checks import (
@@ -46,7 +48,7 @@ from docdepth.odometry.pose_graph import check_solver
 from docdepth.odometry.refinement import refine_poor
 from docdepth.odometry.registration_log import Found, RegistrationLog
 from docdepth.odometry.smoothing import LAG, smoothed
-from docdepth.odometry.sweeps import FINE_SAMPLING, DeskewedSweeps, ThinnedSweeps
+from docdepth.odometry.sweeps import FINE_SAMPLING, DeskewedSweeps, SweepPart, ThinnedSweeps
 
 log = logging.getLogger(__name__)
 
@@ -133,12 +135,11 @@ def register_drive(
         known = _level_world(dataset, checked, findings)
         if not poses_as_given:
             sweeps = _thinned_sweeps(dataset, settings, 1)
-            logs = [_log(dataset, settings, checkpoint, f"refined_{k + 1}") for k in range(PASSES)]
-            try:
-                known, said = refine_poor(sweeps, known, settings, thread_count(threads), logs)
-            finally:
-                for log_of_pass in logs:
-                    log_of_pass.close()
+
+            def logs(part: range) -> list[RegistrationLog]:
+                return _logs(dataset, settings, checkpoint, part, "refined", PASSES)
+
+            known, said = refine_poor(sweeps, known, settings, thread_count(threads), logs)
             findings += said
     else:
         findings, sweeps = [], _thinned_sweeps(dataset, settings, PASSES)
@@ -199,32 +200,50 @@ def estimate_poses(
         check_period(dataset)
     if parameters.loop_closure:
         check_solver()
-    poses: NDArray[np.float64] = np.repeat(np.eye(4)[None], count, axis=0)
     sweeps = sweeps or _thinned_sweeps(dataset, parameters, passes)
-    stream: KnownPoses | None = None
-    first = _first_motion(sweeps, _log(dataset, parameters, checkpoint, "first_motion"))
-    logs = [_log(dataset, parameters, checkpoint, f"pass_{k + 1}") for k in range(passes)]
-    for log_of_pass in logs:
-        registered = register(
-            sweeps, parameters, first, stream, thread_count(threads), log_of_pass, findings
-        )
-        stream = _pose_stream(smoothed(registered), count)
-    assert stream is not None
-    try:
-        for k in range(count):
-            poses = stream(k)
-            if progress is not None:
-                progress("register", k + 1, count)
-    finally:
-        for log_of_pass in logs:
-            log_of_pass.close()
+    paths = []
+    for part in parts_of(dataset.times):
+        (first,) = _logs(dataset, parameters, checkpoint, part, "first_motion")
+        logs = _logs(dataset, parameters, checkpoint, part, "pass", passes)
+        of_part = SweepPart(sweeps, part)
+        paths.append(_registered(of_part, parameters, threads, first, logs, findings, progress))
+    poses = laid_together(sweeps, paths, findings)
     if parameters.loop_closure:
-        kept = _log(dataset, parameters, checkpoint, "loops")
+        (kept,) = _logs(dataset, parameters, checkpoint, range(count), "loops")
         again = ThinnedSweeps(dataset, parameters, FINE_SAMPLING, KEPT_SWEEPS)
         try:
             poses = close_loops(again, poses, parameters.loop_closure, progress, kept)
         finally:
             kept.close()
+    return poses
+
+
+def _registered(
+    sweeps: SweepPart,
+    parameters: OdometryParameters,
+    threads: int,
+    first: RegistrationLog,
+    logs: Sequence[RegistrationLog],
+    findings: list[Finding],
+    progress: Progress | None,
+) -> NDArray[np.float64]:
+    """Poses (n, 4, 4) of a part in the frame of its first sweep, by a pass for each of ``logs``."""
+    stream, count = None, len(sweeps)
+    motion = _first_motion(sweeps, first)
+    for log_of_pass in logs:
+        states = register(
+            sweeps, parameters, motion, stream, thread_count(threads), log_of_pass, findings
+        )
+        stream = _pose_stream(smoothed(states), count)
+    assert stream is not None
+    try:
+        for k in range(count):
+            poses = stream(k)
+            if progress is not None:
+                progress("register", sweeps.first + k + 1, sweeps.total)
+    finally:
+        for log_of_pass in logs:
+            log_of_pass.close()
     return poses
 
 
@@ -236,7 +255,7 @@ def _thinned_sweeps(dataset: Dataset, parameters: OdometryParameters, passes: in
     return ThinnedSweeps(dataset, parameters, FINE_SAMPLING, behind + FIRST_SWEEPS, checked)
 
 
-def _first_motion(sweeps: ThinnedSweeps, kept: RegistrationLog) -> NDArray[np.float64] | None:
+def _first_motion(sweeps: SweepPart, kept: RegistrationLog) -> NDArray[np.float64] | None:
     """The first motion, which an interrupted estimation may have found."""
     found = kept.found(0)
     if found is None:
@@ -248,17 +267,23 @@ def _first_motion(sweeps: ThinnedSweeps, kept: RegistrationLog) -> NDArray[np.fl
     return found.pose if found.usable else None
 
 
-def _log(
-    dataset: Dataset, parameters: OdometryParameters, folder: Path | None, name: str
-) -> RegistrationLog:
-    """What a pass, or loop closure, found before it was interrupted."""
+def _logs(
+    dataset: Dataset,
+    parameters: OdometryParameters,
+    folder: Path | None,
+    part: range,
+    name: str,
+    passes: int = 1,
+) -> list[RegistrationLog]:
+    """What each pass over a part, or loop closure, found before it was interrupted."""
     if folder is None:
-        return RegistrationLog()
+        return [RegistrationLog() for _ in range(passes)]
     times = zlib.crc32(np.asarray(dataset.times, "<i8").tobytes())
     place = Path(dataset.path).resolve()
     made_by = f"docdepth {_core.__version__}"
     key = f"{place} {len(dataset)} {times} {made_by} {parameters.model_dump_json()}"
-    return RegistrationLog(folder / f"{name}.log", key)
+    files = [folder / f"{name}_{k + 1}_from_{part.start}.log" for k in range(passes)]
+    return [RegistrationLog(file, key) for file in files]
 
 
 def _pose_stream(made: Iterator[NDArray[np.float64]], count: int) -> KnownPoses:

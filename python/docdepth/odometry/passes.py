@@ -14,7 +14,7 @@ from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.registration import FEWEST_POINTS, UNKNOWN, Registration
 from docdepth.odometry.registration_log import Found, RegistrationLog
 from docdepth.odometry.smoothing import State, filtered, first_state, stamp_error_of
-from docdepth.odometry.sweeps import ThinnedSweeps, deskewed_points
+from docdepth.odometry.sweeps import SweepPart, deskewed_points
 from docdepth.odometry.traffic import SEEN
 
 KnownPoses = Callable[[int], NDArray[np.float64]]
@@ -67,12 +67,6 @@ class LoggedRegistration:
         if found is None:
             unknown = UNKNOWN**2 * np.eye(6)
             pose, covariance = self._registration.align(guess) if usable else (guess, unknown)
-            if not np.isfinite(pose).all():
-                raise OdometryError(
-                    f"frame {index} could not be registered",
-                    "bring poses (`poses`) or try another odometry.voxel_size",
-                    code="not-registered",
-                )
             found = Found(pose, covariance, usable)
             self._log.add(found)
         return found
@@ -84,7 +78,7 @@ class LoggedRegistration:
 
 
 def register(
-    sweeps: ThinnedSweeps,
+    sweeps: SweepPart,
     parameters: OdometryParameters,
     first: NDArray[np.float64] | None,
     known: KnownPoses | None,
@@ -96,7 +90,7 @@ def register(
 
     Parameters
     ----------
-    sweeps : ThinnedSweeps
+    sweeps : SweepPart
     parameters : OdometryParameters
     first : ndarray of float64, shape (4, 4), optional
         Motion in one sweep's duration at the start, if it is known.
@@ -146,9 +140,15 @@ def register(
             guess = last @ inverse(poses[k - 1]) @ poses[k] if k else last
 
         def deskewed(k: int = k, motion: NDArray[np.float64] = motion) -> NDArray[np.float32]:
-            return deskewed_points(sweeps[k], k, motion)
+            return deskewed_points(sweeps[k], sweeps.first + k, motion)
 
         found = registration.align(k, deskewed, guess)
+        if not np.isfinite(found.pose).all():
+            raise OdometryError(
+                f"frame {sweeps.first + k} could not be registered",
+                "bring poses (`poses`) or try another odometry.voxel_size",
+                code="not-registered",
+            )
         seconds = elapsed * period * 1e-9
         if state is None:
             state = first_state(found.pose, velocity)
@@ -160,7 +160,7 @@ def register(
         if found.usable:
             registration.insert(k, pose)
         else:
-            predicted.append(k)
+            predicted.append(sweeps.first + k)
         if k and known is None:
             # The filtered velocity: the last step would feed its error back by deskewing.
             motion = _power(inverse(last) @ pose, 1 / elapsed)

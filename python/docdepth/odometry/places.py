@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from docdepth.geometry.se3 import inverse, nearest_rigid, rotation_exp, se3_log
 from docdepth.odometry.deskewing import centred_motion
 from docdepth.odometry.registration import FEWEST_POINTS
-from docdepth.odometry.sweeps import ThinnedSweeps, deskewed_points
+from docdepth.odometry.sweeps import SweepPart, ThinnedSweeps, deskewed_points
 
 REACH = 45.0
 """Points of a place lie within this distance of its pose, seen from above [m]."""
@@ -100,13 +100,16 @@ class Places:
 
     Parameters
     ----------
-    sweeps : ThinnedSweeps
+    sweeps : ThinnedSweeps or SweepPart
     poses : ndarray of float64, shape (n, 4, 4)
     arc_length : ndarray of float64, shape (n,)
     """
 
     def __init__(
-        self, sweeps: ThinnedSweeps, poses: NDArray[np.float64], arc_length: NDArray[np.float64]
+        self,
+        sweeps: ThinnedSweeps | SweepPart,
+        poses: NDArray[np.float64],
+        arc_length: NDArray[np.float64],
     ) -> None:
         self._sweeps, self._poses, self._arc = sweeps, poses, arc_length
         self.at = lru_cache(maxsize=_KEPT)(self._place)
@@ -193,7 +196,7 @@ def _laid_over(
         moved = other.map(yaw)
         product = spectrum * np.conj(np.fft.rfft2(moved, (size, size)))
         fit = np.fft.irfft2(product, (size, size))[np.ix_(rows % size, columns % size)]
-        norm = np.linalg.norm(fixed) * np.linalg.norm(moved)
+        norm = np.sqrt((fixed * fixed).sum()) * np.sqrt((moved * moved).sum())
         fits.append(np.where(inside, fit / max(norm, 1e-9), 0.0))
     every = np.array(fits)
     best = np.unravel_index(int(every.argmax()), every.shape)

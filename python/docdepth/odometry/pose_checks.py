@@ -12,7 +12,7 @@ from docdepth.config import OdometryParameters
 from docdepth.datasets.base import Dataset
 from docdepth.errors import Finding, InputError, OdometryError
 from docdepth.geometry.se3 import check_rigid, inverse
-from docdepth.geometry.trajectory import Trajectory
+from docdepth.geometry.trajectory import Trajectory, parts_of
 from docdepth.odometry.deskewing import centred_motion
 from docdepth.odometry.first_motion import FIRST_SWEEPS, checked_motion, first_motion
 from docdepth.odometry.level_ground import split_level_ground
@@ -139,12 +139,13 @@ def places_compared(count: int) -> list[int]:
 
 def find_other_motion(sweeps: ThinnedSweeps, poses: NDArray[np.float64]) -> list[Finding]:
     """Whether points higher than any lorry show that, on a road, poses follow traffic."""
-    compared = 0
+    compared, parts = 0, parts_of(sweeps.times)
     for k in places_compared(len(poses)):
         if not len(split_level_ground(sweeps[k].points.astype(np.float64), _COLUMN)[1]):
             continue
         motion = centred_motion(poses, sweeps.times, [k])[0]
-        checked = checked_motion(sweeps, range(k, len(poses)), motion)
+        end = next(part.stop for part in parts if k in part)
+        checked = checked_motion(sweeps, range(k, end), motion)
         if checked is None:
             continue
         if np.linalg.norm((checked - motion)[:3, 3]) > _OTHER:
@@ -164,10 +165,11 @@ def find_other_motion(sweeps: ThinnedSweeps, poses: NDArray[np.float64]) -> list
 def find_misfit(
     points: Callable[[int], NDArray[np.float32]],
     poses: NDArray[np.float64],
+    times: NDArray[np.int64],
     parameters: OdometryParameters | None = None,
 ) -> list[Finding]:
     """Whether sweeps lie elsewhere than the sweeps before them, and the poses, say."""
-    moved = misfit(points, poses, parameters)
+    moved = misfit(points, poses, times, parameters)
     if moved is None or moved <= MISFIT:
         return []
     text = (
@@ -181,6 +183,7 @@ def find_misfit(
 def misfit(
     points: Callable[[int], NDArray[np.float32]],
     poses: NDArray[np.float64],
+    times: NDArray[np.int64],
     parameters: OdometryParameters | None = None,
     apart: int = 1,
 ) -> float | None:
@@ -194,6 +197,8 @@ def misfit(
         Points of a deskewed sweep, float32 (N, 3). Sixteen sweeps are asked for at most.
     poses : ndarray of float64, shape (n, 4, 4)
         ``T_world_lidar`` of every sweep.
+    times : ndarray of int64, shape (n,)
+        Stamps [ns]. Nothing is compared over a gap.
     parameters : OdometryParameters, optional
     apart : int
         How many sweeps later than the last of the three it is.
@@ -204,11 +209,11 @@ def misfit(
         The median over sweeps; None where sweeps are too few or hold too few points.
     """
     p, moved = parameters or OdometryParameters(), []
-    first = apart + _BEFORE - 1
-    for k in np.unique(np.linspace(first, len(poses) - 1, _SAMPLES).astype(int)).tolist():
-        if first <= k < len(poses):
-            shift = _shift_to_those_before(points, poses, k, p, apart)
-            moved += [] if shift is None else [shift]
+    compared = [k for part in parts_of(times) for k in part[apart + _BEFORE - 1 :]]
+    chosen = np.linspace(0, len(compared) - 1, min(_SAMPLES, len(compared))).astype(int)
+    for k in chosen.tolist():
+        shift = _shift_to_those_before(points, poses, compared[k], p, apart)
+        moved += [] if shift is None else [shift]
     return float(np.median(moved)) if moved else None
 
 
@@ -254,12 +259,15 @@ def _thinned(points: NDArray[np.float32], parameters: OdometryParameters) -> NDA
 
 
 def find_jumps(trajectory: Trajectory) -> list[Finding]:
-    """Where the step from one sweep to the next changes by metres."""
+    """Where the step from one sweep to the next changes by metres, but at gaps."""
     if len(trajectory) < 3:
         return []
     seconds = np.diff(trajectory.times) * 1e-9
     velocity = np.diff(trajectory.poses[:, :3, 3], axis=0) / seconds[:, None]
+    for part in trajectory.parts[1:]:
+        velocity[part.start - 1] = np.nan
     change = np.linalg.norm(np.diff(velocity, axis=0), axis=1) * float(np.median(seconds))
+    change = np.nan_to_num(change)
     worst = int(np.argmax(change))
     if change[worst] <= _JUMP:
         return []

@@ -6,7 +6,7 @@ half of the world look moving, though neighbouring sweeps fit each other.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from docdepth.config import OdometryParameters
 from docdepth.errors import Finding
 from docdepth.geometry.se3 import nearest_rotation
+from docdepth.geometry.trajectory import parts_of
 from docdepth.odometry.deskewing import centred_motion
 from docdepth.odometry.passes import register
 from docdepth.odometry.pose_checks import MISFIT, misfit
 from docdepth.odometry.registration_log import RegistrationLog
 from docdepth.odometry.smoothing import smoothed
-from docdepth.odometry.sweeps import ThinnedSweeps, deskewed_points
+from docdepth.odometry.sweeps import SweepPart, ThinnedSweeps, deskewed_points
 
 _APART = 10  # sweeps between those that are compared
 # Metres by which points move when sweeps are aligned with those ten before. Median of exact poses:
@@ -41,7 +42,7 @@ def _misfit_of(
     def points(k: int) -> NDArray[np.float32]:
         return deskewed_points(sweeps[k], k, centred_motion(poses, sweeps.times, [k])[0])
 
-    return misfit(points, poses, parameters, apart)
+    return misfit(points, poses, sweeps.times, parameters, apart)
 
 
 def refine_poor(
@@ -49,29 +50,28 @@ def refine_poor(
     poses: NDArray[np.float64],
     parameters: OdometryParameters,
     threads: int,
-    logs: Sequence[RegistrationLog],
+    logs: Callable[[range], Sequence[RegistrationLog]],
 ) -> tuple[NDArray[np.float64], list[Finding]]:
     """Poses (n, 4, 4) ``T_world_lidar`` that fit the sweeps, and what is to be said of them.
 
-    Poses that fit are returned as they are. Others are registered, once for each of ``logs``, each
-    sweep from where they say that it lies. The result is laid on them as a whole: the world stays
-    where it was given.
+    Poses that fit are returned as they are. Others are registered, once for each of the ``logs``
+    of a part, each sweep from where they say that it lies. The result is laid on them, each part as
+    a whole: the world stays where it was given.
     """
     apart = min(_APART, max(1, len(poses) // 3))
     before = _misfit_of(sweeps, poses, parameters, apart)
     if before is None or before <= _POOR:
         return poses, []
     found: list[Finding] = []
-    path = poses
-    for log in logs:  # one pass leaves errors of the motion by which sweeps were deskewed
-
-        def known(_: int, path: NDArray[np.float64] = path) -> NDArray[np.float64]:
-            return path
-
-        first = centred_motion(path, sweeps.times, [0])[0]
-        states = register(sweeps, parameters, first, known, threads, log, found)
-        path = np.stack(list(smoothed(states)))
-    refined = _laid_on(poses, path)
+    refined = poses.copy()
+    for part in parts_of(sweeps.times):
+        rows, path = slice(part.start, part.stop), poses[part.start : part.stop]
+        for log in logs(part):  # one pass leaves errors of the motion that deskewed the sweeps
+            try:
+                path = _registered(SweepPart(sweeps, part), path, parameters, threads, log, found)
+            finally:
+                log.close()
+        refined[rows] = _laid_on(poses[rows], path)
     after = _misfit_of(sweeps, refined, parameters, apart)
     misfits = (
         f"the poses do not fit the sweeps: points lie {before:.2f} m from where they were {apart} "
@@ -88,6 +88,20 @@ def refine_poor(
     remedy = "`poses_as_given=True` takes them as they are"
     severity: Literal["warning", "note"] = "warning" if before > MISFIT else "note"
     return refined, [Finding("poses-refined", "", text, remedy, severity)]
+
+
+def _registered(
+    sweeps: SweepPart,
+    path: NDArray[np.float64],
+    parameters: OdometryParameters,
+    threads: int,
+    log: RegistrationLog,
+    found: list[Finding],
+) -> NDArray[np.float64]:
+    """Poses (n, 4, 4) of a part, each sweep registered from where ``path`` says that it lies."""
+    first = centred_motion(path, sweeps.times, [0])[0]
+    states = register(sweeps, parameters, first, lambda _: path, threads, log, found)
+    return np.stack(list(smoothed(states)))
 
 
 def _laid_on(poses: NDArray[np.float64], path: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -26,7 +26,7 @@ from docdepth.odometry.first_motion import first_motion
 from docdepth.odometry.passes import register
 from docdepth.odometry.registration_log import RegistrationLog
 from docdepth.odometry.smoothing import smoothed
-from docdepth.odometry.sweeps import FINE_SAMPLING, ThinnedSweeps, deskewed_points
+from docdepth.odometry.sweeps import FINE_SAMPLING, SweepPart, ThinnedSweeps, deskewed_points
 
 _LENGTH = 10  # sweeps of a piece of the drive
 _FEWEST = 6  # sweeps of a drive, and of a piece
@@ -158,7 +158,8 @@ class _Piece(View):
     def sharpness(self, turn: Turn | None) -> Sharpness:
         """Of the world that the sweeps show, with times of a turn, or of one instant each."""
         sweeps, log = self._thinned(TurningLidar(self, turn)), RegistrationLog()
-        states = register(sweeps, self._parameters, self._motion, None, 1, log, [])
+        part = SweepPart(sweeps, range(len(sweeps)))
+        states = register(part, self._parameters, self._motion, None, 1, log, [])
         poses = np.stack(list(smoothed(states)))
         motions, worlds = centred_motion(poses, self.times), []
         for k, (pose, motion) in enumerate(zip(poses, motions, strict=True)):

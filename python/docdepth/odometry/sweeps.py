@@ -166,6 +166,26 @@ class ThinnedSweeps:
         return Sweep(points, sweep.name, sweep.time, None, relative_time, None, compensated)
 
 
+class SweepPart:
+    """Some sweeps that follow each other without a gap, counted from the first of them.
+
+    Parameters
+    ----------
+    sweeps : ThinnedSweeps
+    frames : range
+    """
+
+    def __init__(self, sweeps: ThinnedSweeps, frames: range) -> None:
+        self.times, self.first = sweeps.times[frames.start : frames.stop], frames.start
+        self.total, self._sweeps, self._frames = len(sweeps), sweeps, frames
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: int) -> Sweep:
+        return self._sweeps[self._frames[index]]
+
+
 def is_raw(sweep: Sweep) -> bool:
     """Whether a sweep can and has to be deskewed."""
     return sweep.relative_time is not None and not sweep.motion_compensated

@@ -102,7 +102,8 @@ def _fit(
     progress: Progress | None,
 ) -> CameraFit | None:
     trajectory, tracks = run.trajectory(), tracks_in(run.path)
-    inside = np.flatnonzero(trajectory.covers(stream.times)).tolist()
+    covered = trajectory.covers(stream.times) & ~trajectory.in_gap(stream.times)
+    inside = np.flatnonzero(covered).tolist()
     if len(inside) < FEWEST_IMAGES:
         return None
     depth = _maps(run, stream, threads, renderer)

@@ -86,7 +86,9 @@ def report_inputs(inputs: RunInputs, parameters: Parameters, output: Path | None
         if not inputs.poses or any(f.severity == "error" for f in report.findings):
             return report
         poses = read_given_poses(inputs.poses, recording)
-        misfit = find_misfit(lambda k: recording.sweep(k).points, poses, parameters.odometry)
+        misfit = find_misfit(
+            lambda k: recording.sweep(k).points, poses, recording.times, parameters.odometry
+        )
         return Report([*report.findings, *misfit], report.summary)
     found += _check_files_of_options(inputs)
     found += _check_parameters(parameters)

@@ -87,7 +87,8 @@ def refuse_poses_of_a_camera(
         return
     name = sorted(recording.cameras, key=lambda n: n not in ("image_00", "image_0"))[0]
     meanings = poses, _of_lidar(poses, name, recording)
-    off = [misfit(lambda k: recording.sweep(k).points, p, parameters) for p in meanings]
+    times = recording.times
+    off = [misfit(lambda k: recording.sweep(k).points, p, times, parameters) for p in meanings]
     if off[0] is not None and off[1] is not None and off[0] > max(_WRONG, _TIMES * off[1]):
         raise OdometryError(
             f"{entry} holds poses of a camera: as those of the LiDAR, sweeps lie {off[0]:.2f} m "

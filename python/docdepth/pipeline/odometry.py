@@ -93,7 +93,7 @@ def run_odometry(
                         run.points, lambda i: run.deskewed(i).sensor_rig, len(dataset)
                     )
                 )
-                profile.add(find_misfit(run.points, poses, run.parameters.odometry))
+                profile.add(find_misfit(run.points, poses, dataset.times, run.parameters.odometry))
 
 
 _CHECKPOINTS = "odometry"

@@ -142,8 +142,8 @@ def plan_render(
 
 
 def _inside(trajectory: Trajectory, stream: CameraStream) -> NDArray[np.bool_]:
-    """Which images were taken between the first and the last sweep."""
-    inside = trajectory.covers(stream.times)
+    """Which images were taken between the first and the last sweep, and in no gap."""
+    inside = trajectory.covers(stream.times) & ~trajectory.in_gap(stream.times)
     if not inside.any():
         raise DatasetError(
             f"none of the {len(stream.names)} images of {stream.name} lies between the first and "

@@ -1,0 +1,110 @@
+"""Parts of a recording between gaps, laid together where they see the same place.
+
+Nobody knows what a vehicle did in a gap of seconds or hours. So motion is not carried over it: each
+part is registered as if it were alone. What the last sweeps before a gap see is then looked for in
+what the first ones behind it see, as far as the vehicle may have gone. A part that does not fit is
+put where it meets no other, and this is said.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.errors import Finding
+from docdepth.geometry.se3 import inverse
+from docdepth.geometry.trajectory import Trajectory
+from docdepth.odometry.loop_closure import passes
+from docdepth.odometry.places import REACH, Place, Places, locate
+from docdepth.odometry.sweeps import SweepPart, ThinnedSweeps
+
+log = logging.getLogger(__name__)
+
+APART = 1000.0
+"""Metres between a part that does not fit and all before it. No LiDAR sees so far."""
+
+_ACCELERATION, _TURN = 4.0, 0.6  # metres/s^2, radians/s; a vehicle hardly does more for seconds
+_LEAST = 2.0  # metres; by which poses may err, and a pixel of a map
+
+
+def laid_together(
+    sweeps: ThinnedSweeps, paths: Sequence[NDArray[np.float64]], findings: list[Finding]
+) -> NDArray[np.float64]:
+    """Poses of all parts in one world.
+
+    Parameters
+    ----------
+    sweeps : ThinnedSweeps
+        Of all parts, one after the other.
+    paths : sequence of ndarray of float64, each of shape (n, 4, 4)
+        ``T_part_lidar`` of each part, in the frame of its first sweep.
+    findings : list of Finding
+        One is added for each part that does not fit the part before.
+
+    Returns
+    -------
+    ndarray of float64, shape (N, 4, 4)
+        ``T_world_lidar`` in the frame of the first sweep of all.
+    """
+    laid = [paths[0]]
+    begin = 0
+    for before, path in pairwise(paths):
+        start = begin + len(before)
+        times = sweeps.times[begin : start + len(path)]
+        seconds = float(times[len(before)] - times[len(before) - 1]) * 1e-9
+        step = _step(sweeps, begin, before, path, seconds)
+        if step is None:
+            laid.append(_aside(laid, path))
+            text = (
+                f"{seconds:.1f} s lie between frames {start - 1} and {start}, and they do not see "
+                f"the same place: frame {start} begins a part of its own, {APART:g} m aside"
+            )
+            findings.append(Finding("part-apart", "", text))
+        else:
+            log.info("frames from %d on are laid on those before a gap of %.1f s", start, seconds)
+            laid.append(laid[-1][-1] @ step @ path)
+        begin = start
+    return np.concatenate(laid)
+
+
+def _aside(laid: Sequence[NDArray[np.float64]], path: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Poses (n, 4, 4) of a part where it meets no other, at the height of the last."""
+    aside = np.eye(4)
+    aside[0, 3] = max(part[:, 0, 3].max() for part in laid) + APART - path[:, 0, 3].min()
+    aside[1:3, 3] = laid[-1][-1, 1:3, 3]
+    moved: NDArray[np.float64] = aside @ path
+    return moved
+
+
+def _step(
+    sweeps: ThinnedSweeps,
+    begin: int,
+    before: NDArray[np.float64],
+    path: NDArray[np.float64],
+    seconds: float,
+) -> NDArray[np.float64] | None:
+    """Pose (4, 4) of the first sweep behind a gap in the frame of the last before it, if found."""
+    last, start = len(before) - 1, begin + len(before)
+    # Both in the frame of the sweep at the gap.
+    one = _place(sweeps, begin, inverse(before[-1]) @ before, last)
+    other = _place(sweeps, start, path, 0)
+    speed = _speed(sweeps.times[begin:start], before)
+    gone = speed * seconds + _ACCELERATION / 2 * seconds**2
+    turn = min(_TURN * seconds, np.pi)
+    placed = locate(one, other, np.zeros(2), min(_LEAST + gone, REACH), turn)
+    return placed.pose if passes(placed) else None
+
+
+def _place(sweeps: ThinnedSweeps, first: int, poses: NDArray[np.float64], index: int) -> Place:
+    """What the sweeps around one of a part see."""
+    part = SweepPart(sweeps, range(first, first + len(poses)))
+    return Places(part, poses, Trajectory(part.times, poses).arc_length).at(index)
+
+
+def _speed(times: NDArray[np.int64], poses: NDArray[np.float64]) -> float:
+    """Of the last sweeps [m/s]; 0 for a single one."""
+    return float(np.linalg.norm(Trajectory(times, poses).velocity(-1)))

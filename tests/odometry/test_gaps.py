@@ -1,0 +1,84 @@
+"""Recordings with gaps: each part is as if alone, and is laid on the one before if it fits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from docdepth import register_drive
+from docdepth.datasets import Sweep
+from docdepth.geometry.se3 import inverse, se3_exp
+from docdepth.geometry.trajectory import Trajectory, parts_of
+from docdepth.odometry import first_motion
+from docdepth.odometry.parts import APART
+from exact_drive import Drive
+
+PART = 7  # sweeps
+
+
+@dataclass
+class Cut:
+    """Some sweeps of a drive, with other stamps."""
+
+    drive: Drive
+    frames: list[int]
+    times: np.ndarray
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.drive, name)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def sweep(self, index: int) -> Sweep:
+        return replace(self.drive.sweep(self.frames[index]), time=int(self.times[index]))
+
+
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    return Drive(2 * PART + 45)
+
+
+@pytest.mark.parametrize(("lost", "given"), [(0, False), (45, False), (45, True)])
+def test_motion_is_not_carried_over_a_gap(
+    drive: Drive, lost: int, given: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A gap of 1.1 s; on the street it is one sweep, or 50 metres farther on."""
+    monkeypatch.setattr(first_motion, "_DIRECTIONS", [0.0])
+    frames = [*range(PART), *range(PART + lost, 2 * PART + lost)]
+    stamps = np.arange(2 * PART, dtype=np.int64) * 10**8
+    stamps[PART:] += 10**9
+    exact = drive.exact[frames]
+    noise = [
+        se3_exp(np.zeros(3), v) for v in np.random.default_rng(2).normal(0, 0.1, (2 * PART, 3))
+    ]
+    poses = exact @ noise if given else None
+
+    def parts(checkpoint: Path) -> tuple[np.ndarray, set[str]]:
+        cut = Cut(drive, frames, stamps)
+        found = register_drive(cut, poses=poses, checkpoint=checkpoint)
+        return found.trajectory.poses, {finding.code for finding in found.findings}
+
+    both, codes = parts(tmp_path)
+    np.testing.assert_array_equal(parts(tmp_path)[0], both)  # from what it noted
+    for part in (slice(PART), slice(PART, None)):
+        motion, true = inverse(both[part][0]) @ both[part], inverse(exact[part][0]) @ exact[part]
+        assert np.linalg.norm((motion - true)[:, :3, 3], axis=1).max() < 0.05
+    step, true = (inverse(T[PART - 1]) @ T[PART] for T in (both, exact))
+    if given or not lost:
+        assert np.linalg.norm((step - true)[:3, 3]) < (0.3 if given else 0.05)
+        assert "part-apart" not in codes
+    else:
+        assert np.linalg.norm(step[:3, 3]) == pytest.approx(APART, abs=30)
+        assert "part-apart" in codes
+
+
+def test_a_gap_is_longer_than_a_second() -> None:
+    stamps = np.cumsum([0, 1, 1, 9, 1, 11, 1]) * 10**8
+    assert parts_of(stamps) == [range(5), range(5, 7)]
+    assert parts_of(2 * stamps[:3] * 10) == [range(3)]  # two seconds are usual there
+    trajectory = Trajectory(stamps, np.repeat(np.eye(4)[None], 7, axis=0))
+    assert trajectory.in_gap([stamps[4], stamps[4] + 1, stamps[5]]).tolist() == [False, True, False]
