@@ -290,6 +290,23 @@ def test_tracking_tells_how_much_is_done():
     assert max(np.diff([0, *told])) < 0.2
 
 
+def test_no_track_goes_over_a_gap():
+    """Each part has the tracks that it has alone, with numbers of their own."""
+    detections, _ = detections_of([Thing(CAR, passes(-6, start=0), range(30))], 30)
+    drive = straight(30)
+    times = drive.times + np.where(np.arange(30) < 12, 0, 2 * 10**9)
+    both = tracking_of(detections, Trajectory(times, drive.poses))
+    assert [track.id for track in both.tracks] == [1, 2]
+    for part, track in zip((range(12), range(12, 30)), both.tracks, strict=True):
+        rows = slice(part.start, part.stop)
+        alone = tracking_of(detections[rows], Trajectory(times[rows], drive.poses[rows]))
+        np.testing.assert_array_equal(track.times, alone.tracks[0].times)
+        for k in part:
+            members = alone.sweeps[k - part.start].members.copy()
+            members["track"] = track.id
+            np.testing.assert_array_equal(both.sweeps[k].members, members)
+
+
 def test_the_track_of_a_point_does_not_depend_on_how_many_are_compared_at_once(monkeypatch):
     rng = np.random.default_rng(0)
     boxes = np.zeros(7, TrackedSweep().boxes.dtype)

@@ -50,6 +50,21 @@ def test_a_crawling_ego_has_a_key_frame_a_second_and_the_ends_more(monkeypatch):
     assert set(chosen[4]) == {0, 2, 10, 20, 30, 40, 100}
 
 
+@pytest.mark.parametrize("p", [PAPER, DEFAULT])
+def test_no_key_frame_votes_over_a_gap(p):
+    """Each part has those that it has alone, though both pass through the same place."""
+    rng = np.random.default_rng(4)
+    poses = np.repeat(np.eye(4)[None], 160, axis=0)
+    poses[:, 0, 3] = np.cumsum(rng.uniform(0, 1, 160))
+    poses[90:, 0, 3] -= 40
+    times = np.arange(160) * 10**8 + rng.integers(0, 10**7, 160)
+    times[90:] += 2 * 10**9
+    one, other = (Trajectory(times[s], poses[s]) for s in (slice(90), slice(90, None)))
+    alone = [*chosen_of(one, p), *(frames + 90 for frames in chosen_of(other, p))]
+    for found, expected in zip(chosen_of(Trajectory(times, poses), p), alone, strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
 def plain_key_frames(trajectory, p):
     """Every sweep against every key frame."""
     arc, time = trajectory.arc_length, (trajectory.times - trajectory.times[0]) * 1e-9

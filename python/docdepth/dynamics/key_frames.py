@@ -69,7 +69,8 @@ class KeyFrames:
     The trajectory is subsampled twice: fine key frames vote on sweeps nearby, coarse ones also on
     sweeps farther away. With ``time_spacing``, key frames are also chosen by time where the vehicle
     crawls or stands, to see cross traffic come and go, and near the ends of the drive, where a
-    sweep has key frames on one side only. A key frame votes once, and never on its own sweep.
+    sweep has key frames on one side only. A key frame votes once, never on its own sweep, and not
+    over a gap: a car that parks may have left in it.
 
     Parameters
     ----------
@@ -81,7 +82,7 @@ class KeyFrames:
         self, trajectory: Trajectory, parameters: DynamicsParameters | None = None
     ) -> None:
         p = parameters or DynamicsParameters()
-        self._arc = trajectory.arc_length
+        self._arc, self._part = trajectory.arc_length, trajectory.part
         self._time = (trajectory.times - trajectory.times[0]) * 1e-9
         self._families = [
             self._family(trajectory.subsample(p.fine_spacing), p.fine_radius, np.inf),
@@ -91,7 +92,8 @@ class KeyFrames:
         if p.time_spacing:
             often = trajectory.subsample(p.fine_spacing, p.time_spacing)
             self._families.append(self._family(often, p.fine_radius, TIME_RADIUS))
-            self._ends = np.append(trajectory.subsample(np.inf, END_SPACING), len(trajectory) - 1)
+            last = [part[-1] for part in trajectory.parts]
+            self._ends = np.union1d(trajectory.subsample(np.inf, END_SPACING), last)
         self._chosen = lru_cache(_RECENT)(self._choose)
 
     def _family(self, frames: NDArray[np.int64], radius: float, duration: float) -> _Family:
@@ -101,11 +103,12 @@ class KeyFrames:
         return self._chosen(i)
 
     def _choose(self, i: int) -> NDArray[np.int64]:
-        time, ends = self._time, self._ends
+        time, ends, part = self._time, self._ends, self._part(i)
         near = [of.near(self._arc[i], time[i]) for of in self._families]
-        if time[-1] - time[i] <= END_RADIUS:
+        if time[part[-1]] - time[i] <= END_RADIUS:
             near.append(ends[np.searchsorted(ends, i, "right") :])
-        if time[i] <= END_RADIUS:
+        if time[i] - time[part[0]] <= END_RADIUS:
             near.append(ends[: np.searchsorted(ends, i, "left")])
         every = np.unique(np.concatenate(near))
-        return every[every != i].astype(np.int64, copy=False)
+        every = every[(every >= part.start) & (every < part.stop) & (every != i)]
+        return every.astype(np.int64, copy=False)

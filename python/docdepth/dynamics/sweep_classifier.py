@@ -211,7 +211,8 @@ class SweepClassifier:
         with self._timer("objects"):
             objects = cluster_objects(points, ground, mesh)
             classid = classify(ground, votes, self._parameters, points, mesh, objects)
-        occupancy = votes.occupancy_by_sweep(voters, index)
+        begin = self._trajectory.part(index).start
+        occupancy = votes.occupancy_by_sweep(voters - begin, index - begin)
         with self._timer("detections"):
             detections = _core.Detections(
                 points,

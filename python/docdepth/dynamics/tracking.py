@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import logging
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,7 +124,8 @@ def track_objects(
 ) -> list[Track]:
     """Track dynamic objects through the drive, to find them also where votes do not.
 
-    Tracks start at objects that the votes make dynamic and go forward and backward in time. An
+    Tracks start at objects that the votes make dynamic and go forward and backward in time, but not
+    over a gap. An
     object of the next sweep continues a track when it overlaps the predicted points of the last two
     detections and is not larger than the whole object. So a track reaches sweeps in which the
     object waits or parks, or no key frame looked.
@@ -146,8 +147,9 @@ def track_objects(
     Parameters
     ----------
     read : callable
-        Gives the detections of a sweep. It is called from one thread, four or five times a sweep:
-        those of few sweeps are held at once, since a drive may not fit into memory.
+        Gives the detections of a sweep, which count sweeps from the first of its part. It is called
+        from one thread, four or five times a sweep: those of few sweeps are held at once, since a
+        drive may not fit into memory.
     trajectory : Trajectory
         Of the LiDAR; one pose a sweep.
     take : callable
@@ -162,29 +164,50 @@ def track_objects(
     list of Track
         Track 1, 2, ...
     """
-    times = trajectory.times
-    objects = _core.track_objects(
-        read,
-        (times - times[0]) * 1e-9,
-        threads,
-        lambda found: take(TrackedSweep(*found)),
-        _HELD_SWEEPS,
-        progress or (lambda share: None),
-    )
-    if len(objects) > MAX_TRACKS:
+    tracks, found = list[Track](), 0
+    for part in trajectory.parts:
+
+        def take_numbered(sweep: tuple[Any, Any, Any], before: int = found) -> None:
+            for rows in sweep[:2]:
+                rows["track"] += before
+            take(TrackedSweep(*sweep))
+
+        def tell(share: float, part: range = part) -> None:
+            if progress:
+                progress((part.start + share * len(part)) / len(trajectory))
+
+        times = trajectory.times[part.start : part.stop]
+        objects = _core.track_objects(
+            lambda index, part=part: read(part[index]),
+            (times - times[0]) * 1e-9,
+            threads,
+            take_numbered,
+            _HELD_SWEEPS,
+            tell,
+        )
+        tracks += _tracks_of(objects, found, times, trajectory.poses[0, :3, 3])
+        found += len(objects)
+    if found > MAX_TRACKS:
         log.warning(
             "%d objects move in this drive, more than ids; those after %d get instance 0",
-            len(objects), MAX_TRACKS,
+            found, MAX_TRACKS,
         )  # fmt: skip
+    return tracks
+
+
+def _tracks_of(
+    objects: list[Any], before: int, times: NDArray[np.int64], origin: NDArray[np.float64]
+) -> list[Track]:
+    """Objects of a part of the drive, as many as there are ids after those ``before``."""
     tracks = []
-    for k, found in enumerate(objects[:MAX_TRACKS]):
+    for k, found in enumerate(objects[: max(0, MAX_TRACKS - before)]):
         sweeps, points, poses, velocities, deviations, of_surface, size, rigid = found
         objects[k] = None
-        poses[:, :3, 3] += trajectory.poses[0, :3, 3]
+        poses[:, :3, 3] += origin
         size = np.maximum(size, MIN_SIZE)
         kind = _kind(size, float(np.linalg.norm(velocities, axis=1).max()), rigid)
         path = times[sweeps], poses, velocities
-        tracks.append(Track(k + 1, kind, *path, size, points, deviations, of_surface))
+        tracks.append(Track(before + k + 1, kind, *path, size, points, deviations, of_surface))
     return tracks
 
 

@@ -113,7 +113,7 @@ def static_sweeps(
     """Select the sweeps whose static points are drawn into the image taken at ``time`` [ns].
 
     A sweep is a candidate when its arc length is less than ``behind`` before or less than ``ahead``
-    after that of the image.
+    after that of the image, and no gap lies between: cars may have come or gone in it.
 
     Splats: candidates in order of arc length, at least ``step`` apart. Among candidates of equal
     arc length (the ego stands) the nearest in time is taken.
@@ -132,7 +132,8 @@ def static_sweeps(
     p = parameters or RenderParameters()
     here = float(trajectory.arc_length_at(time)[0])
     select = _spaced if p.primitive == "splats" else _thinned
-    return np.array(select(trajectory, time, here, p), dtype=np.int64)
+    part = trajectory.part(trajectory.nearest(time))
+    return np.array([i for i in select(trajectory, time, here, p) if i in part], dtype=np.int64)
 
 
 def _window(arc: NDArray[np.float64], here: float, p: RenderParameters) -> tuple[int, int]:
@@ -191,7 +192,8 @@ def _dynamic(trajectory: Trajectory, time: int, p: RenderParameters) -> list[int
     nearest = trajectory.nearest(time)
     if p.primitive == "splats":
         return [nearest]
-    first = max(nearest - DYNAMIC_SWEEPS, 0)
-    around = np.arange(first, min(nearest + DYNAMIC_SWEEPS + 1, len(trajectory)))
+    part = trajectory.part(nearest)
+    first = max(nearest - DYNAMIC_SWEEPS, part.start)
+    around = np.arange(first, min(nearest + DYNAMIC_SWEEPS + 1, part.stop))
     delay = np.abs(trajectory.times[around] - np.int64(time))
     return [int(i) for i in around[np.argsort(delay, kind="stable")[:DYNAMIC_SWEEPS]]]
