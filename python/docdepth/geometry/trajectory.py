@@ -244,6 +244,9 @@ class Trajectory(ShortRepr):
 @lru_cache(maxsize=_KEPT)
 def _at(trajectory: Trajectory, time: int) -> NDArray[np.float64]:
     """What :meth:`Trajectory.interpolate` finds at a single time."""
+    after = int(np.searchsorted(trajectory.times, time))
+    if after < len(trajectory) and trajectory.times[after] == time:
+        return trajectory.poses[after : after + 1]
     return trajectory._interpolated(np.array([time]))
 
 

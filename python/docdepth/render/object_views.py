@@ -149,10 +149,10 @@ def boxes_in_view(view: View, trajectory: Trajectory, tracks: Tracks) -> list[Pl
         if track.deviation_at(view.time) > track.size[:2].max():
             continue  # it is more likely elsewhere than there
         T_camera_object = T_camera_world @ track.pose_at(view.time)
+        if not _in_view(view.camera, T_camera_object, track):
+            continue
         extent = _extent(track, trajectory)
-        if _in_view(view.camera, T_camera_object, track) and not _contains(
-            T_camera_object, extent, own
-        ):
+        if not _contains(T_camera_object, extent, own):
             x, y, z = (T_camera_world[:3, :3] @ track.velocity_at(view.time)).tolist()
             found.append((T_camera_object, extent, (x, y, z)))
     return found
