@@ -25,30 +25,34 @@ constexpr float kMaxHeightDifference = 0.2f;
 /// Search radii of the steps that refine a shift [m], from the error of a bin to kMatchDistance.
 constexpr float kRefineRadii[] = {0.6f, 0.4f, 0.3f, 0.3f, 0.3f};
 
-/// Call visit(i, number of its voxel) for each point; voxels are numbered as they come.
-template <class Visit>
-void for_each_voxel(const SampledPoints& points, float size, const Visit& visit) {
-  KeyNumbers number_of(points.size());
-  for (std::size_t i = 0; i < points.size(); ++i) visit(i, number_of[voxel_key(points[i], size)]);
-}
+/// The voxel of each point; voxels are numbered as they come.
+struct Voxels {
+  std::vector<std::uint32_t> number;
+  std::vector<float> points;  ///< in each voxel
 
-/// Mean of the values of the points in each voxel.
-template <class Value>
-std::vector<Value> voxel_means(const SampledPoints& points, const std::vector<Value>& values,
-                               float size, const Value& zero) {
-  std::vector<Value> sums;
-  std::vector<float> counts;
-  for_each_voxel(points, size, [&](std::size_t i, std::size_t number) {
-    if (number == sums.size()) {
-      sums.push_back(zero);
-      counts.push_back(0);
-    }
-    sums[number] += values[i];
-    ++counts[number];
-  });
-  for (std::size_t i = 0; i < sums.size(); ++i) sums[i] /= counts[i];
-  return sums;
-}
+  Voxels(const SampledPoints& of, float size) : number(of.size()) {
+    KeyNumbers number_of(of.size());
+    for (std::size_t i = 0; i < of.size(); ++i) number[i] = number_of[voxel_key(of[i], size)];
+    points.assign(number_of.size(), 0);
+    for (const auto voxel : number) ++points[voxel];
+  }
+
+  /// Sum of the values of the points in each voxel.
+  template <class Value>
+  std::vector<Value> sums(const std::vector<Value>& values, const Value& zero) const {
+    std::vector<Value> result(points.size(), zero);
+    for (std::size_t i = 0; i < number.size(); ++i) result[number[i]] += values[i];
+    return result;
+  }
+
+  /// Mean of these values.
+  template <class Value>
+  std::vector<Value> means(const std::vector<Value>& values, const Value& zero) const {
+    std::vector<Value> result = sums(values, zero);
+    for (std::size_t k = 0; k < result.size(); ++k) result[k] /= points[k];
+    return result;
+  }
+};
 
 }  // namespace
 
@@ -77,7 +81,7 @@ std::uint64_t voxel_key(const Vector& point, float size) {
 }
 
 SampledPoints downsample(const SampledPoints& points, float size) {
-  return voxel_means<Vector>(points, points, size, Vector::Zero());
+  return Voxels(points, size).means<Vector>(points, Vector::Zero());
 }
 
 SampledPoints downsample(const SampledPoints& points, float size, std::size_t most, float largest) {
@@ -90,19 +94,17 @@ SampledPoints downsample(const SampledPoints& points, float size, std::size_t mo
 }
 
 TimedPoints downsample(const TimedPoints& points, float size, std::size_t most) {
-  SampledPoints samples = downsample(points.points, size);
-  while (samples.size() > most) samples = downsample(points.points, size *= kSampleSpacingGrowth);
-  return {std::move(samples), voxel_means(points.points, points.times, size, 0.0f)};
+  Voxels voxels(points.points, size);
+  while (voxels.points.size() > most) voxels = Voxels(points.points, size *= kSampleSpacingGrowth);
+  return {voxels.means<Vector>(points.points, Vector::Zero()), voxels.means(points.times, 0.0f)};
 }
 
 TimedSurface downsample(const TimedSurface& surface, float size) {
+  const Voxels voxels(surface.points, size);
   TimedSurface result;
-  result.points = downsample(surface.points, size);
-  result.times = voxel_means(surface.points, surface.times, size, 0.0f);
-  result.normals.assign(result.points.size(), Vector::Zero());
-  for_each_voxel(surface.points, size, [&](std::size_t i, std::size_t number) {
-    result.normals[number] += surface.normals[i];
-  });
+  result.points = voxels.means<Vector>(surface.points, Vector::Zero());
+  result.times = voxels.means(surface.times, 0.0f);
+  result.normals = voxels.sums<Vector>(surface.normals, Vector::Zero());
   return result;
 }
 
