@@ -9,6 +9,7 @@
 #include "docdepth/render/beam_edges.hpp"
 #include "docdepth/render/gl/renderer.hpp"
 #include "docdepth/render/layers.hpp"
+#include "docdepth/render/surface_normals.hpp"
 
 namespace docdepth::bindings {
 namespace {
@@ -182,6 +183,19 @@ const float* as_depth(const Array<float>& depth, int width, int height) {
   return depth.data();
 }
 
+py::array_t<float> fitted_normals(const Array<double>& K, int width, int height,
+                                  const Array<float>& depth, const Array<float>& normals,
+                                  int threads) {
+  const Camera camera = as_camera(K, width, height);
+  const float* z = as_depth(depth, width, height);
+  if (normals.ndim() != 3 || normals.shape(0) != height || normals.shape(1) != width ||
+      normals.shape(2) != 3)
+    throw std::invalid_argument("normals must have shape (height, width, 3)");
+  std::vector<float> fitted(normals.data(), normals.data() + normals.size());
+  without_gil([&] { fit_normals(camera, z, fitted.data(), threads); });
+  return to_numpy(std::move(fitted), {height, width, 3});
+}
+
 py::dict splat_layers(const Array<double>& K, int width, int height,
                       const std::vector<Placed>& static_frames,
                       const std::vector<Placed>& dynamic_frames, const Size& static_size,
@@ -230,6 +244,8 @@ void bind_render(py::module_& m) {
       .def(py::init(&make_rays), "points"_a, "normals"_a, "ray_origins"_a = py::none())
       .def("query_visibility", &query_visibility, "points"_a);
   define_meshes(m, &render_triangles);
+  m.def("fit_normals", &fitted_normals, "K"_a, "width"_a, "height"_a, "depth"_a, "normals"_a,
+        "threads"_a = 0);
   m.def("mesh_layers", &mesh_layers, "K"_a, "width"_a, "height"_a, "static_frames"_a, "objects"_a,
         "visibility_sweeps"_a, "depth"_a, "threads"_a = 0, "shutter_sweeps"_a = py::list(),
         "seen"_a = false);

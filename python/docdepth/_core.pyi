@@ -7,7 +7,7 @@ import docdepth.errors
 import numpy
 import numpy.typing
 import typing
-__all__: list[str] = ['ClassificationOptions', 'Detections', 'Frame', 'GaussianVoxelMap', 'GlError', 'GlRenderer', 'GridCamera', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'MeshFrame', 'MeshImage', 'MeshImageParameters', 'MeshParameters', 'OccupancyGrid', 'OccupancyOptions', 'OrientedPoints', 'RangeImage', 'Rays', 'ScanMesh', 'SweepRays', 'add_isolated_points', 'add_points_inside', 'classify_objects', 'cluster_objects', 'egl_devices', 'join_meshes', 'mesh_layers', 'nearest_neighbors', 'render_meshes', 'render_splats', 'splat_layers', 'thin_sweep', 'track_objects', 'vote']
+__all__: list[str] = ['ClassificationOptions', 'Detections', 'Frame', 'GaussianVoxelMap', 'GlError', 'GlRenderer', 'GridCamera', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'MeshFrame', 'MeshImage', 'MeshImageParameters', 'MeshParameters', 'OccupancyGrid', 'OccupancyOptions', 'OrientedPoints', 'RangeImage', 'Rays', 'ScanMesh', 'SweepRays', 'add_isolated_points', 'add_points_inside', 'classify_objects', 'cluster_objects', 'egl_devices', 'fit_normals', 'join_meshes', 'mesh_layers', 'nearest_neighbors', 'render_meshes', 'render_splats', 'splat_layers', 'thin_sweep', 'track_objects', 'vote']
 class GroundParameters:
     def __init__(self) -> None:
         ...
@@ -380,6 +380,8 @@ def classify_objects(points: typing.Annotated[numpy.typing.ArrayLike, numpy.floa
 def cluster_objects(points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], mesh: ScanMesh) -> numpy.typing.NDArray[numpy.uint32]:
     ...
 def egl_devices() -> int:
+    ...
+def fit_normals(K: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], width: typing.SupportsInt | typing.SupportsIndex, height: typing.SupportsInt | typing.SupportsIndex, depth: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], threads: typing.SupportsInt | typing.SupportsIndex = 0) -> numpy.typing.NDArray[numpy.float32]:
     ...
 def join_meshes(meshes: collections.abc.Sequence[ScanMesh]) -> ScanMesh:
     ...

@@ -14,7 +14,9 @@
 ``std``
     float32: standard deviation of the agreeing depths in metres; NaN of a single one
 ``normal``
-    float32, x y z: surface normal in the camera frame, towards the camera. Triangles only
+    float32, x y z: surface normal in the camera frame, towards the camera, of a plane fitted to the
+    depth map around the pixel as far as it is flat; where nothing is, of the nearest facet.
+    Triangles only
 ``confidence``
     float32, 0..1: probability that the depth is less than 5 % off, see :func:`confidence`
 ``seen``
@@ -105,6 +107,8 @@ def compose_layers(
             *image, drawn.static, drawn.objects, drawn.visibility,
             depth, threads, drawn.around, seen,
         )  # fmt: skip
+    if "normal" in names:
+        found["normal"] = _core.fit_normals(*image, depth, found["normal"], threads)
     part = found["sweep"]
     found["time"] = np.where(part < 0, np.nan, drawn.delays[part]).astype(np.float32)
     if "confidence" in names:

@@ -31,12 +31,15 @@ class View:
         Depth along the optical axis [m]; NaN = no surface.
     labels : ndarray of uint32, shape (h, w)
         As for the points of a sweep; 0 for the sky.
+    normals : ndarray of float32, shape (h, w, 3)
+        Of the surface in the camera frame, towards the camera; 0 where there is none.
     colour : ndarray of uint8, shape (h, w, 3)
         Red, green, blue.
     """
 
     depth: NDArray[np.float32]
     labels: NDArray[np.uint32]
+    normals: NDArray[np.float32]
     colour: NDArray[np.uint8]
 
 
@@ -54,9 +57,11 @@ def photograph(world: World, camera: Camera, T_scene_camera: Floats, second: flo
     hits = world.cast(Rays(origins, directions, np.array([second]), which), _FAR)
     depth = np.where(np.isfinite(hits.range), hits.range * along, np.nan)
     colour = _shade(hits, world.surface["colour"][hits.face], origin, directions)
+    normals = np.einsum("ij,ki->kj", T_scene_camera[:3, :3].astype(np.float32), hits.normals)
     return View(
         depth.reshape(shape).astype(np.float32),
         hits.labels.reshape(shape),
+        np.where(hits.face[:, None] < 0, 0, normals).reshape(*shape, 3),
         colour.reshape(*shape, 3),
     )
 
