@@ -20,10 +20,9 @@ constexpr float kSurelyTransientShare = 0.99f;
 /// Of what moves alone at most this share is porous: 0.13 on drives of which the truth is known,
 /// where it is 0.52 and more of fences that seem to move.
 constexpr float kMaxPorousShare = 1 / 3.0f;
-/// Vehicles that follow each other closely have a larger one, of KITTI drives as well. But their
-/// places are free before the first and after the last of them: this times as much of a fence is
-/// porous as was free before or after.
-constexpr float kPorousRatio = 2;
+/// Vehicles that follow each other closely have a larger one, on KITTI as well. But most rays that
+/// pass them by find their places free: more of them is transient than of any fence (0.88).
+constexpr float kMaxPorousTransientShare = 0.9f;
 /// An object that is never seen to move stands where for so long [s] this share of it was free, in
 /// the mean.
 constexpr double kFreeWindow = 2;
@@ -81,13 +80,13 @@ bool is_transient_while_moving(const ObjectTrack& object, const std::vector<doub
 /// Whether rays hit and passed much of it in turn, sooner than road users follow each other: a
 /// fence or a twig of which each sweep hits another part.
 bool is_porous(const Track& track) {
-  float area = 0, porous_area = 0, free_area = 0;
+  float area = 0, porous_area = 0, transient_area = 0;
   for (const TrackObservation& seen : track.observations) {
     area += seen.area;
     porous_area += seen.porous_area;
-    free_area += seen.free_area;
+    transient_area += seen.transient_area;
   }
-  return porous_area > kMaxPorousShare * area && porous_area > kPorousRatio * free_area;
+  return porous_area > kMaxPorousShare * area && transient_area < kMaxPorousTransientShare * area;
 }
 
 bool is_thin(const TrackPath& path) {
