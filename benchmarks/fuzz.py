@@ -1,5 +1,10 @@
 """Feed changed files to the readers: ``python benchmarks/fuzz.py OUT [READER ...] --seconds 60``.
 
+``python benchmarks/fuzz.py OUT --runs 1000`` changes a finished run folder in so many random ways,
+as a stranger might: links to elsewhere, other types, sizes and names, values of run.yaml, records,
+arrays and images. A verb works on each. Whatever ends otherwise than in a result or one error, or
+touches a file outside of the folder, is a find.
+
 Atheris (``pip install atheris``) changes small files byte by byte and keeps what reaches new lines
 of docdepth. Whatever ends otherwise than in a result or an error of docdepth is a find: another
 exception, more than 2 GB of memory, more than two seconds of the processor. Each kind of find is
@@ -11,17 +16,25 @@ from __future__ import annotations
 
 import json
 import os
+import pkgutil
+import random
 import re
 import resource
+import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import time
 import traceback
 import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import yaml
 from results import parser_of, publish
 
 MEMORY = 2 << 30  # bytes more than the readers and their libraries take
@@ -82,13 +95,185 @@ def _kind(error: BaseException) -> str:
     return f"{type(error).__name__}_{at}"
 
 
+VERBS = (
+    "run RUN", "run RUN --force", "status RUN", "report RUN", "map RUN", "render RUN --force",
+    "classify RUN --force", "odometry RUN --force", "evaluate labels RUN --labels RUN",
+    "evaluate depth RUN --truth RUN", "evaluate trajectories RUN --poses RUN/traj_odometry.ply",
+    "convert RUN OUT --to label", "convert RUN OUT --to proj_depth", "convert RUN OUT --to tum",
+    "convert RUN OUT --to nerfstudio", "convert RUN OUT --to occupancy", "inspect RUN",
+)  # fmt: skip
+EVIL: tuple[Any, ...] = (
+    "../outside", "../../outside/kept.txt", "/etc/passwd", ".", "..", "", "a/b", "x" * 5000, "\0",
+    "\x1b[31mred", "\udcff", -1, 0, 1e308, 10**30, float("nan"), True, None, [], {}, [[]], "nan",
+)  # fmt: skip
+
+
+def changed(run: Path, outside: Path, rng: random.Random) -> str:
+    """Change one thing of a run folder; what was changed."""
+    entries = sorted(run.rglob("*"))
+    # Few files decide more than many frames.
+    deciding = [f for f in entries if f.suffix in (".yaml", ".json") or "records" in f.parts]
+    path = rng.choice(deciding if deciding and rng.random() < 0.5 else entries)
+    way = rng.choice(["link", "type", "size", "bytes", "other", "value", "value", "value"])
+    told = f"{way} {path.relative_to(run)}"
+    if way == "link":
+        target = rng.choice([outside, outside / "kept.txt", run.parent, path, Path("/dev/zero")])
+        _remove(path)
+        path.symlink_to(target)
+        return f"{told} -> {target}"
+    if way == "type":
+        _remove(path)
+        makers: list[Callable[[], Any]] = [path.mkdir, path.touch, lambda: os.mkfifo(path), dict]
+        rng.choice(makers)()
+        return told
+    if not path.is_file() or path.is_symlink():
+        return told
+    content = path.read_bytes()
+    if way == "size":
+        kept = rng.randrange(len(content) + 1)
+        path.write_bytes(rng.choice([content[:kept], content * 3, content + bytes(1 << 16), b""]))
+    elif way == "other":
+        path.write_bytes(rng.choice([e for e in entries if e.is_file()]).read_bytes())
+    elif way == "value" and path.suffix in (".yaml", ".json"):
+        values = yaml.safe_load(content)
+        told += f" {_change_value(values, rng)}"
+        path.write_text(yaml.safe_dump(values) if path.suffix == ".yaml" else json.dumps(values))
+    elif way == "value" and b"\n" in content[:500]:
+        words = re.split(rb"([\s,/:\"]+)", content)
+        k = 2 * rng.randrange((len(words) + 1) // 2)
+        words[k] = str(rng.choice(EVIL)).encode(errors="surrogateescape")
+        path.write_bytes(b"".join(words))
+        told += f" {words[k][:40]!r}"
+    else:
+        flipped = bytearray(content)
+        for _ in range(rng.choice([1, 3, 30])) if content else ():
+            flipped[rng.randrange(min(len(content), rng.choice([200, 10**9])))] = rng.randrange(256)
+        path.write_bytes(flipped)
+    return told
+
+
+def _change_value(values: Any, rng: random.Random) -> str:
+    """Change a value, or a name, anywhere in what YAML or JSON holds."""
+    where: list[tuple[Any, Any]] = []
+
+    def collect(inside: Any) -> None:
+        keys = inside if isinstance(inside, dict) else range(len(inside))
+        for key in keys if isinstance(inside, dict | list) else ():
+            where.append((inside, key))
+            if isinstance(inside[key], dict | list):
+                collect(inside[key])
+
+    collect(values if isinstance(values, dict | list) else {})
+    if not where:
+        return ""
+    inside, key = rng.choice(where)
+    evil = rng.choice(EVIL)
+    if isinstance(inside, dict) and rng.random() < 0.25:
+        inside[str(evil)] = inside.pop(key)
+    else:
+        inside[key] = evil
+    return f"{key} = {str(evil)[:40]!r}"
+
+
+def _remove(path: Path) -> None:
+    shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
+
+
+def _seen(folder: Path, but: Path) -> dict[str, tuple[object, ...]]:
+    """What a watch knows of all files of a folder that do not lie in another."""
+    return {
+        str(f): (f.lstat().st_mode, f.lstat().st_mtime_ns, f.lstat().st_size, f.lstat().st_ino)
+        for f in sorted(folder.rglob("*"))
+        if f != but and but not in f.parents
+    }
+
+
+def fuzz_runs(out: Path, count: int, first: int) -> None:
+    """Work on changed run folders; each find is written to ``OUT/finds.txt``."""
+    import docdepth
+    from docdepth.cli import main as docdepth_main
+
+    for module in pkgutil.walk_packages(docdepth.__path__, "docdepth."):  # once, not in each child
+        with suppress(ImportError):
+            import_module(module.name) if not module.name.endswith("__main__") else None
+    from small_drive import write_small_drive
+
+    place, finished = out / "place", out / "finished"
+    place.mkdir(parents=True)
+    run, outside, result = place / "run", place / "outside", place / "result"
+    (here := out / "here").mkdir()  # for what has no name
+    drive = write_small_drive(place / "drive")
+    for folder in ("frames", "labels", "depth", "records"):
+        (outside / folder).mkdir(parents=True)
+        (outside / folder / "kept.txt").write_text("of somebody else")
+    (outside / "kept.txt").write_text("of somebody else")
+
+    def work(arguments: list[str]) -> tuple[int, str]:
+        """Exit status and standard error of a verb, in a child."""
+        told, child = out / "stderr.txt", os.fork()
+        if not child:
+            os.chdir(here)
+            signal.alarm(120)
+            resource.setrlimit(resource.RLIMIT_AS, (3 * MEMORY, 3 * MEMORY))
+            with told.open("w") as stream:
+                os.dup2(stream.fileno(), 2)
+            os.dup2(os.open(os.devnull, os.O_RDWR), 1)
+            sys.argv = ["docdepth", *arguments]
+            try:
+                docdepth_main()
+            except SystemExit as end:
+                sys.stderr.flush()
+                os._exit(int(end.code or 0))
+            os._exit(70)
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), told.read_text(errors="replace")
+
+    assert work(["run", str(drive), "-o", str(run), "--video", "-q"])[0] in (0, 2)
+    assert work(["run", str(drive), "-o", str(run), "-q"])[0] == 0
+    run.rename(finished)
+    for number in range(first, first + count):
+        rng = random.Random(number)
+        shutil.copytree(finished, run, symlinks=True)
+        told = [changed(run, outside, rng) for _ in range(rng.choice([1, 1, 2]))]
+        verb = rng.choice(VERBS)
+        before = _seen(place, run)
+        begun = time.time()
+        code, said = work(verb.replace("RUN", str(run)).replace("OUT", str(result)).split())
+        _remove(result) if os.path.lexists(result) else None
+        errors = len(re.findall("^error", said, re.M))
+        wrong = [
+            what
+            for what, is_so in {
+                "ended": code not in (0, 1, 2),
+                "bug": "has a bug" in said or "Traceback" in said,
+                "sentences": errors != (code == 2),
+                "outside": _seen(place, run) != before,
+                "slow": time.time() - begun > 60,
+            }.items()
+            if is_so
+        ]
+        if wrong:
+            tail = said.strip().splitlines()[-3:]
+            with (out / "finds.txt").open("a") as stream:
+                print(number, wrong, code, verb, told, *tail, sep="\n  ", file=stream)
+        _remove(run) if os.path.lexists(run) else None
+        if number % 50 == 49:
+            print(f"{number + 1 - first} of {count}", file=sys.stderr, flush=True)
+        if "outside" in wrong:
+            raise SystemExit(f"{number}: {verb} {told} touched a file outside")
+
+
 def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("readers", nargs="*")
     parser.add_argument("--seconds", type=int, default=60, help="for each reader")
     parser.add_argument("--here", action="store_true", help="one reader, in this process")
+    parser.add_argument("--runs", type=int, help="change a run folder in so many ways")
+    parser.add_argument("--first", type=int, default=0, help="number of the first of these ways")
     given = parser.parse_args()
+    if given.runs:
+        sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+        return fuzz_runs(given.out.absolute(), given.runs, given.first)
     if given.here:
         return fuzz(given.readers[0], given.out, given.seconds)
     from fuzz_readers import READERS

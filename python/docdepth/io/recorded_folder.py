@@ -29,6 +29,32 @@ STATE_DIR = ".docdepth"
 _TRIES, _PAUSE = 4, 0.05  # seconds
 
 
+def check_entries(folder: Path) -> None:
+    """Refuse a folder that holds anything but files and folders of its own.
+
+    A run may come from a stranger. A link in it would have files elsewhere read, replaced or
+    deleted, and a device or a pipe read without end.
+
+    Raises
+    ------
+    RunError
+    """
+    try:
+        entries = list(os.scandir(folder))
+    except OSError:  # what needs it will say so
+        return
+    for entry in entries:
+        if entry.is_dir(follow_symlinks=False):
+            check_entries(Path(entry))
+        elif not entry.is_file(follow_symlinks=False):
+            what = "a link" if entry.is_symlink() else "no regular file"
+            raise RunError(
+                f"{entry.path} is {what}",
+                "a run holds files of its own alone: put the file or folder itself there, or "
+                "delete it",
+            )
+
+
 class StagedFile(NamedTuple):
     """A file that a worker has written, under a name that it does not keep.
 

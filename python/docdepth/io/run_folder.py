@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import os
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -37,7 +38,7 @@ from docdepth.io.manifest import (
     read_manifest,
 )
 from docdepth.io.npy import read_kept_arrays
-from docdepth.io.recorded_folder import STATE_DIR, RecordedFolder, move_aside
+from docdepth.io.recorded_folder import STATE_DIR, RecordedFolder, check_entries, move_aside
 from docdepth.io.yaml_json import parse_json
 
 log = logging.getLogger(__name__)
@@ -67,6 +68,8 @@ class RunFolder(RecordedFolder):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
+        if any(map(os.path.lexists, (self._manifest_path, self.state_dir))):
+            check_entries(self.path)
         self._saved = _content(self._manifest_path)  # run.yaml as it is on disk
         found = read_manifest(self._manifest_path)
         self._is_readable = found is not None

@@ -189,7 +189,7 @@ class _Task:
             path.parent.rmdir()  # unless it holds another trial
 
     def _begin(self, path: Path, source: RunFolder) -> RunFolder:
-        """A copy of the run with the trial's parameters, whose results are links.
+        """A copy of the run with the trial's parameters, which shares the files of its results.
 
         The run is only read: a stage never writes into a file but puts another in its place.
         """
@@ -199,7 +199,7 @@ class _Task:
         def not_shared(folder: str, names: list[str]) -> list[str]:
             return [n for n in names if Path(folder) in (root, state) and n in _NOT_SHARED]
 
-        shutil.copytree(root, path, copy_function=os.symlink, ignore=not_shared)
+        shutil.copytree(root, path, copy_function=_linked, ignore=not_shared)
         trial = RunFolder(path)
         if (state / "records").is_dir():
             shutil.copytree(state / "records", trial.state_dir / "records")
@@ -251,3 +251,11 @@ def _run_tasks(tasks: list[_Task], jobs: int, total: int, progress: Progress | N
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
+
+
+def _linked(source: str, copy: str) -> None:
+    """Give a file another name, or copy it to another disk."""
+    try:
+        os.link(source, copy)
+    except OSError:
+        shutil.copy2(source, copy)
