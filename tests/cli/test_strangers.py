@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -9,9 +10,11 @@ import numpy as np
 import pytest
 
 from command_line import cli
+from docdepth.cli import app
 from docdepth.cli.status import changes_since_start
 from docdepth.config import replaced
 from docdepth.io.frames import read_frame
+from docdepth.io.recorded_folder import STATE_DIR
 from docdepth.io.run_folder import RunFolder
 
 
@@ -96,3 +99,67 @@ def test_unusable_points_are_kept_apart(drive, tmp_path):
     np.testing.assert_array_equal(frame.index, np.arange(120, len(points)))
     assert np.isfinite(frame.points).all()
     assert len(np.fromfile(run / "labels" / "000002.label", np.uint32)) == len(points)
+
+
+@pytest.mark.parametrize("place", ["frames/frame_000001.ply", "depth", ".docdepth/records", "x"])
+@pytest.mark.parametrize("make", [Path.symlink_to, lambda path, _: os.mkfifo(path)])
+def test_nothing_in_a_run_leads_elsewhere(docdepth, copies, tmp_path, place, make):
+    (tmp_path / "kept" / "frames").mkdir(parents=True)
+    above, run = copies
+    if (run / place).is_dir():
+        shutil.rmtree(run / place)
+    (run / place).unlink(missing_ok=True)
+    make(run / place, tmp_path / "kept")
+    for verb in (("run", above, "-o", run), ("status", run), ("report", run)):
+        ended = docdepth(*verb)
+        assert ended.code == 2
+        assert f"{run / place} is " in ended.err
+    assert (tmp_path / "kept" / "frames").is_dir()
+
+
+REFUSED = {"check", "demo", "doctor", "evaluate", "parameters", "status", "view"}
+"""Verbs that write nothing of their own, or no file that is there."""
+
+
+def test_no_verb_loses_what_somebody_wrote_or_changed(docdepth, copies, tmp_path):
+    above, run = copies
+    labels, out = run / "labels", tmp_path / "out"
+    verbs = {
+        "inspect": (above, "-o", out / "page.html"),
+        "report": (run,),
+        "map": (run,),
+        "video": (run,),
+        "tune": (
+            run,
+            "--vary",
+            "dynamics.tolerance=0.2,0.3",
+            "-o",
+            out / "tune",
+            "--labels",
+            labels,
+        ),
+        "calibrate": ("--check", run, "-o", out / "calibrate"),
+        "convert": (run, out / "poses.txt", "--to", "tum"),
+        "synth": (out / "synth", "--frames", "2", "--sensor", "VLP-16", "--force"),
+        "odometry": (run, "--set", "odometry.voxel_size=1.1"),
+        "classify": (run, "--set", "dynamics.tolerance=0.3"),
+        "render": (run, "--set", "render.behind=30"),
+        "run": (above, "-o", run, "--force"),
+    }
+    known = {command.name or command.callback.__name__ for command in app.registered_commands}
+    assert known | {group.name for group in app.registered_groups} == {*verbs, *REFUSED}
+    for verb in ("inspect", "map", "tune", "convert"):
+        assert docdepth(verb, *verbs[verb]).code == 0
+    for name in ("run/report/video.webm", "out/calibrate/image_2.jpg"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    files = [f for f in tmp_path.rglob("*") if f.is_file() and above not in f.parents]
+    marks = {
+        f: f"of somebody {k}".encode() for k, f in enumerate(files) if STATE_DIR not in f.parts
+    }
+    for file, mark in marks.items():
+        file.write_bytes(file.read_bytes() + mark)
+    for verb, arguments in verbs.items():
+        docdepth(verb, *arguments)
+    kept = b"".join(f.read_bytes() for f in tmp_path.rglob("*") if f.is_file())
+    assert [str(file) for file, mark in marks.items() if mark not in kept] == []

@@ -16,8 +16,8 @@ from docdepth.calibration.pictures import points_on_image
 from docdepth.concurrency import Progress
 from docdepth.datasets.files import read_image_of
 from docdepth.geometry.camera import Camera
-from docdepth.io.atomic import write_atomically
 from docdepth.io.calibration import write_calibration
+from docdepth.io.recorded_folder import write_output
 
 
 def quality_of(found: Calibration) -> dict[str, object]:
@@ -90,12 +90,12 @@ def write_result(
     }
     camera = Camera(lens.K, lens.width, lens.height)
     numbers = lens.distortion.tolist()
-    write_calibration(folder, camera, found.T_camera_lidar, numbers, lens.model, more=more)
+    write_calibration(folder, camera, found.T_camera_lidar, numbers, lens.model, write_output, more)
     for done, pair in enumerate(pairs, 1):
         if pair.image is not None:
             picture = points_on_image(read_image_of(pair.image), board, pair, found.solution)
             encoded = cv2.imencode(".jpg", picture)[1].tobytes()
-            write_atomically(folder / f"{pair.name}.jpg", partial(_write, encoded))
+            write_output(folder / f"{pair.name}.jpg", partial(_write, encoded))
         if progress is not None:
             progress("pictures", done, len(pairs))
 

@@ -17,8 +17,8 @@ from docdepth.errors import CalibrationError, ConfigError
 from docdepth.evaluation.camera_error import check_calibration
 from docdepth.evaluation.time_offset import TimeOffset, image_times, time_offset
 from docdepth.geometry.se3 import inverse
-from docdepth.io.atomic import write_atomically
 from docdepth.io.inputs import RunInputs
+from docdepth.io.recorded_folder import write_output
 from docdepth.pipeline.depth_files import encode_image
 
 if TYPE_CHECKING:  # it needs an extra
@@ -153,7 +153,7 @@ def _check_run(
             name, content = f"{found.worst}.jpg", encode_image(found.picture, ".jpg")
             use = f"{output / name}: depth edges as they are red, where they fit green"
         output.mkdir(parents=True, exist_ok=True)
-        write_atomically(output / name, lambda stream: stream.write(content))
+        write_output(output / name, lambda stream: stream.write(content))
         lines.append(use)
     return show_json(found.figures) if as_json else say(*lines)
 

@@ -154,6 +154,11 @@ class FileRecords:
         """Bytes of a file; 0 without a record."""
         return max(self._records[name].size, 0) if name in self._records else 0
 
+    def is_foreign(self, name: str) -> bool:
+        """Whether docdepth did not write a file, or somebody has changed it since."""
+        record = self._records.get(name)
+        return record is None or (record.size >= 0 and self.state(name) == "damaged")
+
     def state(self, name: str, verify: bool = False) -> FileState:
         """Compare a file with its record.
 

@@ -76,7 +76,7 @@ class StagedFile(NamedTuple):
 class RecordedFolder:
     """A folder whose files have records, in ``.docdepth/records``.
 
-    Nothing that has no record is overwritten or deleted.
+    Nothing that has no record, or differs from it, is overwritten or deleted.
 
     A copy in another process (the folder is pickled) is that of a worker. It reads like the folder
     itself. What it writes waits in ``.docdepth/staging`` for :meth:`commit`, so that one process
@@ -211,7 +211,8 @@ class RecordedFolder:
     ) -> None:
         """Write a file of the run and its record.
 
-        A file that docdepth did not write and that has this name is kept as ``NAME.old``.
+        A file of this name that docdepth did not write, or that was changed since, is kept as
+        ``NAME.old``.
 
         Parameters
         ----------
@@ -246,7 +247,7 @@ class RecordedFolder:
         records = self.records(path.parent)
         if not records.path.is_file():
             self._adopt(path.parent)
-        if path.name not in records and not _has_content(path, written):
+        if records.is_foreign(path.name) and not _has_content(path, written):
             move_aside(path)
         records.add(path.name, written, key)
 
@@ -283,9 +284,11 @@ class RecordedFolder:
         return lambda path, write: self.write(path, write, key)
 
     def remove(self, path: Path) -> None:
-        """Delete a file, if docdepth wrote it."""
+        """Delete a file, if docdepth wrote it; one that was changed since becomes ``NAME.old``."""
         records = self.records(path.parent)
         if path.name in records:
+            if records.is_foreign(path.name):
+                move_aside(path)
             path.unlink(missing_ok=True)
             records.drop(path.name)
             with contextlib.suppress(OSError):
@@ -307,6 +310,22 @@ class RecordedFolder:
         self.records(path.parent).invalidate(path.name)
 
 
+def write_output(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    """Write a file in a folder that a user named; one with other content becomes ``NAME.old``.
+
+    Raises
+    ------
+    RunError
+        The file cannot be written.
+    """
+
+    def keep(written: Written) -> None:
+        if not _has_content(path, written):
+            move_aside(path)
+
+    write_atomically(path, write, before_rename=keep)
+
+
 def _has_content(path: Path, written: Written) -> bool:
     """Whether a file is not there, or has the content of one that was written."""
     try:
@@ -318,14 +337,16 @@ def _has_content(path: Path, written: Written) -> bool:
 
 
 def move_aside(path: Path) -> None:
-    """Give a file that docdepth did not write another name."""
+    """Give a file that docdepth did not write, or that was changed since, another name."""
     aside, number = path.with_name(f"{path.name}.old"), 1
     while aside.exists():
         number += 1
         aside = path.with_name(f"{path.name}.old{number}")
     with contextlib.suppress(FileNotFoundError):
         path.rename(aside)
-        log.warning("%s was not written by docdepth and is %s now", path, aside.name)
+        log.warning(
+            "%s was not written by docdepth, or was changed since, and is %s now", path, aside.name
+        )
 
 
 @contextmanager

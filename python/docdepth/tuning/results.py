@@ -13,7 +13,7 @@ from typing import Any, cast
 from docdepth.config import Settings
 from docdepth.errors import MissingExtraError
 from docdepth.evaluation.tables import Table, number
-from docdepth.io.atomic import write_atomically
+from docdepth.io.recorded_folder import write_output
 
 _ERRORS = {
     "density": ("all.density", "density %", 1),
@@ -113,7 +113,7 @@ def write_csv(outcomes: Sequence[Outcome], by: str, path: Path) -> None:
         settings = [outcome.settings.get(name, "") for name in names]
         figures = [outcome.metric(metric) for metric, _, _ in COLUMNS[by].values()]
         writer.writerow([outcome.run, outcome.name, *settings, *figures])
-    write_atomically(path, lambda out: out.write(stream.getvalue().encode()))
+    write_output(path, lambda out: out.write(stream.getvalue().encode()))
 
 
 def plot(outcomes: Sequence[Outcome], by: str, path: Path) -> None:
@@ -154,7 +154,7 @@ def plot(outcomes: Sequence[Outcome], by: str, path: Path) -> None:
     figure.legend(loc="outside right upper", fontsize=8)
     stream = io.BytesIO()
     figure.savefig(stream, format=path.suffix[1:], dpi=120)
-    write_atomically(path, lambda out: out.write(stream.getvalue()))
+    write_output(path, lambda out: out.write(stream.getvalue()))
 
 
 def _varying_parameter(outcomes: Sequence[Outcome]) -> str | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 
 from docdepth.errors import DatasetError
 from docdepth.io.atomic import write_atomically
+from docdepth.io.recorded_folder import move_aside
 from docdepth.visualization.pictures import Picture
 
 _MARKS = "<!-- docdepth page -->", "<!-- docdepth inspect -->"  # today's, and that of earlier pages
@@ -80,6 +82,8 @@ def check_page(path: Path) -> None:
 def write_page(path: Path, parts: Iterable[str]) -> None:
     """Write a page of :func:`head` and other parts, in one file that needs nothing else.
 
+    A page that was changed since docdepth wrote it becomes ``NAME.old``.
+
     Raises
     ------
     DatasetError
@@ -87,12 +91,21 @@ def write_page(path: Path, parts: Iterable[str]) -> None:
     """
     check_page(path)
     content = "\n".join(parts).encode(errors="replace")
+    content += _seal(content)
     try:
+        known = path.read_bytes() if path.is_file() else content
+        if not known.endswith(_seal(known[: -len(_seal(known))])):
+            move_aside(path)
         write_atomically(path, lambda stream: stream.write(content))
     except OSError as error:
         raise DatasetError(
             f"{path} cannot be written ({error.strerror}); name another file"
         ) from None
+
+
+def _seal(content: bytes) -> bytes:
+    """The end of a page, which tells whether it was changed."""
+    return f"\n<!-- {zlib.crc32(content):08x} -->\n".encode()
 
 
 def table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
