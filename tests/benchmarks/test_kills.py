@@ -9,7 +9,7 @@ THREADS = 2
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.nightly)])
 def test_a_killed_run_ends_the_same_and_computes_little_twice(
     drive: Path, tmp_path: Path, seed: int
 ) -> None:
