@@ -20,9 +20,12 @@ constexpr float kSurelyTransientShare = 0.99f;
 /// Of what moves alone at most this share is porous: 0.13 on drives of which the truth is known,
 /// where it is 0.52 and more of fences that seem to move.
 constexpr float kMaxPorousShare = 1 / 3.0f;
-/// Vehicles that follow each other closely have a larger one, on KITTI as well. But most rays that
-/// pass them by find their places free: more of them is transient than of any fence (0.88).
-constexpr float kMaxPorousTransientShare = 0.9f;
+/// Vehicles that follow each other closely have a larger one, on KITTI as well. But nearly all of
+/// their area is transient, 0.95 and more,
+constexpr float kMinQueueTransientShare = 0.9f;
+/// and this share was free before or after: 0.18 and more, where of pieces of fences that seem
+/// transient as a whole it is at most 0.08.
+constexpr float kMinQueueFreeShare = 0.13f;
 /// An object that is never seen to move stands where for so long [s] this share of it was free, in
 /// the mean.
 constexpr double kFreeWindow = 2;
@@ -78,15 +81,19 @@ bool is_transient_while_moving(const ObjectTrack& object, const std::vector<doub
 }
 
 /// Whether rays hit and passed much of it in turn, sooner than road users follow each other: a
-/// fence or a twig of which each sweep hits another part.
+/// fence or a twig of which each sweep hits another part. Of vehicles in a queue that is so, too,
+/// but nearly all of their places are mostly free, and some before the first or after the last one.
 bool is_porous(const Track& track) {
-  float area = 0, porous_area = 0, transient_area = 0;
+  float area = 0, porous_area = 0, transient_area = 0, free_area = 0;
   for (const TrackObservation& seen : track.observations) {
     area += seen.area;
     porous_area += seen.porous_area;
     transient_area += seen.transient_area;
+    free_area += seen.free_area;
   }
-  return porous_area > kMaxPorousShare * area && transient_area < kMaxPorousTransientShare * area;
+  const bool in_queue =
+      transient_area >= kMinQueueTransientShare * area && free_area >= kMinQueueFreeShare * area;
+  return porous_area > kMaxPorousShare * area && !in_queue;
 }
 
 bool is_thin(const TrackPath& path) {
