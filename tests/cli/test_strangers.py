@@ -121,6 +121,7 @@ REFUSED = {"check", "demo", "doctor", "evaluate", "parameters", "status", "view"
 """Verbs that write nothing of their own, or no file that is there."""
 
 
+@pytest.mark.slow
 def test_no_verb_loses_what_somebody_wrote_or_changed(docdepth, copies, tmp_path):
     above, run = copies
     labels, out = run / "labels", tmp_path / "out"
