@@ -367,7 +367,7 @@ RUNS = [
     ("map missing", AGAIN, remove(MAP), REPAIRED, ""),
     ("map cut off", AGAIN, cut(MAP, 0.5), REPAIRED, ""),
     ("map renamed", AGAIN, move(MAP, f"{MAP}.jpg"), REPAIRED, ""),
-    ("map a folder", AGAIN, folder(MAP), DocDepthError, "000001.png"),
+    ("map a folder", AGAIN, folder(MAP), WARNED, "000001.png.old"),
     ("map missing, video", ["video", "r", "--camera", "image_2"], remove(MAP), RunError,
      "000001.png"),
     ("no depth.json", AGAIN, remove("r/depth/depth.json"), REPAIRED, ""),

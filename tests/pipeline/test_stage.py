@@ -102,10 +102,12 @@ class Toy:
         self.written.append(path.relative_to(self.root).as_posix())
 
     def results(self) -> dict[str, bytes]:
+        """All files, but those that were changed and are kept beside the new ones."""
         places = [self.root / "poses", self.root / "camera"]
         for kind in ("frames", "depth", "report"):
             places += (self.root / kind).glob("*")
-        return {p.relative_to(self.root).as_posix(): p.read_bytes() for p in places if p.is_file()}
+        files = [p for p in places if p.is_file() and ".old" not in p.name]
+        return {p.relative_to(self.root).as_posix(): p.read_bytes() for p in files}
 
     def expected(self) -> dict[str, bytes]:
         files = [
