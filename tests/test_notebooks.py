@@ -74,7 +74,7 @@ def test_votes_find_the_object_and_need_time(tmp_path: Path) -> None:
 @pytest.mark.nightly
 def test_a_parameter_is_chosen_and_tried_on_another_drive(tmp_path: Path) -> None:
     names = run_notebook("parameters_by_tune", tmp_path)
-    assert names["best"].metric("iou") == max(names["scores"]) > min(names["scores"]) + 0.01
+    assert names["best"].metric("iou") == max(names["scores"]) > min(names["scores"]) + 0.05
     chosen, default = names["checked"]
     assert chosen.settings == names["best"].settings
     assert 0.5 < default.metric("iou") < 1

@@ -45,6 +45,7 @@ class Without:
         (True, "columns", 12),
         (False, "columns", 12),
         pytest.param(True, "rings backwards", 26, marks=pytest.mark.slow),
+        pytest.param(False, "rings backwards", 26, marks=pytest.mark.nightly),
     ],
 )
 def test_what_is_right_makes_the_world_sharper(skew: bool, order: str, count: int) -> None:

@@ -7,9 +7,9 @@ namespace docdepth {
 
 /// Replace normals by those of planes that are fitted to the depth map around each pixel.
 ///
-/// The noise of single returns is the direction of a facet, but not of a plane through the many
-/// facets around it. A window grows as long as what it shows is a plane within the noise of range,
-/// so it stops at creases and jumps. A pixel near one takes the window beside it that still holds
+/// The noise of single returns tilts a facet, but hardly a plane through the many facets around it.
+/// The window around a pixel is the largest one that shows a plane within the noise of range, so it
+/// ends at creases and jumps. A pixel near one of these takes a window beside it that still holds
 /// it. Where no window is flat, as on leaves, the normal stays.
 /// @param depth   [m], row after row; NaN or 0 where there is none
 /// @param normal  x y z for each pixel, towards the camera
