@@ -1,4 +1,7 @@
-"""Recordings with gaps: each part is as if alone, and is laid on the one before if it fits."""
+"""Recordings with gaps, lost sweeps, and clocks that step.
+
+Each part is as if alone, and is laid on the one before if it fits.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from docdepth.datasets import Sweep
 from docdepth.geometry.se3 import inverse, se3_exp
 from docdepth.geometry.trajectory import Trajectory, parts_of
 from docdepth.odometry import first_motion
+from docdepth.odometry.clock import even_stamps
 from docdepth.odometry.parts import APART
 from exact_drive import Drive
 
@@ -82,3 +86,42 @@ def test_a_gap_is_longer_than_a_second() -> None:
     assert parts_of(2 * stamps[:3] * 10) == [range(3)]  # two seconds are usual there
     trajectory = Trajectory(stamps, np.repeat(np.eye(4)[None], 7, axis=0))
     assert trajectory.in_gap([stamps[4], stamps[4] + 1, stamps[5]]).tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("kind", "given"),
+    [("step", False), ("step", True), ("step back", False), ("late", False), ("lost", False)],
+)
+def test_the_vehicle_drives_on_when_the_clock_steps(
+    drive: Drive, kind: str, given: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Poses, and deskewed sweeps, are right by stamps that jump and where sweeps are missing."""
+    monkeypatch.setattr(first_motion, "_DIRECTIONS", [0.0])
+    lost = 5 if kind == "lost" else 0
+    frames = [*range(PART), *range(PART + lost, 2 * PART + lost)]
+    stamps = drive.times[frames]
+    stamps[PART:] += {"step": 600, "step back": -70, "late": 90, "lost": 0}[kind] * 10**6
+    if kind == "late":  # one sweep only
+        stamps[PART + 1 :] = drive.times[PART + 1 : 2 * PART]
+    exact = drive.exact[frames]
+    found = register_drive(Cut(drive, frames, stamps), poses=exact if given else None)
+    true = inverse(exact[0]) @ exact
+    at = inverse(found.trajectory.poses[0]) @ found.trajectory.poses
+    assert np.linalg.norm((at - true)[:, :3, 3], axis=1).max() < 0.05
+    codes = {finding.code for finding in found.findings}
+    assert ("clock-steps" in codes) == (kind != "lost")
+    assert "trajectory-jumps" not in codes
+    for k in range(PART - 2, PART + 2):
+        points = found.sweeps[k].points[np.linalg.norm(found.sweeps[k].points, axis=1) > 1]
+        world = points @ exact[k, :3, :3].T + exact[k, :3, 3]
+        assert np.quantile(drive.street.distance(world), 0.9) < 0.05
+
+
+def test_stamps_of_a_standing_vehicle_are_kept() -> None:
+    stamps = np.cumsum([0, 1, 1, 7, 1, 1]) * 10**8
+    poses = np.repeat(np.eye(4)[None], 6, axis=0)
+    np.testing.assert_array_equal(even_stamps(poses, stamps, 1e8), stamps)
+    poses[:, 0, 3] = np.arange(6)  # a metre a sweep
+    np.testing.assert_array_equal(even_stamps(poses, stamps, 1e8), np.arange(6) * 10**8)
+    poses[3:, 0, 3] += 6  # six sweeps were lost
+    np.testing.assert_array_equal(even_stamps(poses, stamps, 1e8), stamps)

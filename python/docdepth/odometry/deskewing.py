@@ -11,6 +11,7 @@ from docdepth.errors import InputError
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.se3 import inverse, se3_exp, se3_log, skew
 from docdepth.geometry.trajectory import parts_of
+from docdepth.odometry.clock import even_stamps
 
 NEIGHBORS = 2
 """Sweeps on either side whose poses give the motion of one."""
@@ -86,7 +87,7 @@ def centred_motion(
 
     The fit is a straight line through the twists to up to two poses before and two after. It passes
     half as much jitter of the poses on to the points as one neighbour on either side would. Poses
-    beyond a gap are not used.
+    beyond a gap are not used, and steps of the clock are taken out.
 
     Parameters
     ----------
@@ -109,7 +110,7 @@ def centred_motion(
     if n < 2:
         return np.repeat(np.eye(4)[None], len(frames), axis=0)
     stamps = np.arange(n) if times is None else np.asarray(times, dtype=np.int64)
-    sweeps = (stamps - stamps[0]) / float(np.median(np.diff(stamps)))
+    usual = float(np.median(np.diff(stamps)))
     motions = np.repeat(np.eye(4)[None], len(frames), axis=0)
     parts = parts_of(stamps) if times is not None else [range(n)]
     ends = np.array([part.stop for part in parts])
@@ -119,7 +120,11 @@ def centred_motion(
         if len(around) < 2:
             continue
         twists = np.array([np.concatenate(se3_log(inverse(poses[k]) @ poses[j])) for j in around])
-        x = sweeps[around] - sweeps[around].mean()
+        # One more, so that a step has intervals on either side.
+        known = slice(max(k - NEIGHBORS - 1, part.start), around[-1] + 1)
+        even = even_stamps(poses[known], stamps[known], usual)
+        sweeps = (even - even[0])[-len(around) :] / usual
+        x = sweeps - sweeps.mean()
         slope = x @ twists / (x @ x)
         motions[row] = se3_exp(slope[:3], slope[3:])
     return motions

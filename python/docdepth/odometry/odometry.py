@@ -29,6 +29,7 @@ from docdepth.errors import Finding, InputError, log_findings
 from docdepth.geometry.checks import ShortRepr
 from docdepth.geometry.ground_plane import level_turn
 from docdepth.geometry.trajectory import Trajectory, parts_of
+from docdepth.odometry.clock import find_clock_steps
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.first_motion import FIRST_SWEEPS, first_motion
 from docdepth.odometry.loop_closure import close_loops
@@ -148,7 +149,7 @@ def register_drive(
         )
         findings += find_other_motion(sweeps, known)
     trajectory = Trajectory(dataset.times, known)
-    findings += find_jumps(trajectory)
+    findings += [*find_clock_steps(trajectory), *find_jumps(trajectory)]
     log_findings(log, findings)
     motions = centred_motion(known, dataset.times)
     return Odometry(trajectory, DeskewedSweeps(dataset, motions.__getitem__), tuple(findings))

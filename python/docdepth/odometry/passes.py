@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from docdepth.config import OdometryParameters
 from docdepth.errors import Finding, OdometryError
 from docdepth.geometry.se3 import inverse, se3_exp, se3_log
+from docdepth.odometry.clock import possible_times, time_gone
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.registration import FEWEST_POINTS, UNKNOWN, Registration
 from docdepth.odometry.registration_log import Found, RegistrationLog
@@ -54,9 +55,10 @@ class LoggedRegistration:
         self._read = max(0, self.first - SEEN) if len(kept) < count else count
 
     def align(
-        self, index: int, deskewed: Callable[[], NDArray[np.float32]], guess: NDArray[np.float64]
+        self, index: int, deskewed: Callable[[], NDArray[np.float32]], *guesses: NDArray[np.float64]
     ) -> Found:
         """What registration finds, or has found, of a sweep; it is read only if it is needed."""
+        guess = guesses[0]
         found = self._log.found(index)
         if found is not None and (index < self._read or not found.usable):
             return found
@@ -66,7 +68,7 @@ class LoggedRegistration:
             self._registration.take(points, guess)
         if found is None:
             unknown = UNKNOWN**2 * np.eye(6)
-            pose, covariance = self._registration.align(guess) if usable else (guess, unknown)
+            pose, covariance = self._registration.align(*guesses) if usable else (guess, unknown)
             found = Found(pose, covariance, usable)
             self._log.add(found)
         return found
@@ -133,22 +135,26 @@ def register(
     for k in range(count):
         last, elapsed = pose, float(times[k] - times[k - 1]) / period if k else 0.0
         if known is None:
-            guess = last @ _power(motion, elapsed)
+            gone = possible_times(motion[:3, 3], elapsed, 1.0) if k else [0.0]
+            guesses = [last @ _power(motion, share) for share in gone]
         else:
             poses = known(min(k + NEIGHBORS, count - 1))
             motion = centred_motion(poses, times, [k])[0]
-            guess = last @ inverse(poses[k - 1]) @ poses[k] if k else last
+            guesses = [last @ inverse(poses[k - 1]) @ poses[k] if k else last]
 
         def deskewed(k: int = k, motion: NDArray[np.float64] = motion) -> NDArray[np.float32]:
             return deskewed_points(sweeps[k], sweeps.first + k, motion)
 
-        found = registration.align(k, deskewed, guess)
+        found = registration.align(k, deskewed, *guesses)
         if not np.isfinite(found.pose).all():
             raise OdometryError(
                 f"frame {sweeps.first + k} could not be registered",
                 "bring poses (`poses`) or try another odometry.voxel_size",
                 code="not-registered",
             )
+        if state is not None:
+            moved, way = found.pose[:3, 3] - last[:3, 3], 1e-9 * period * state.velocity
+            elapsed = time_gone(moved, way, elapsed, 1.0)
         seconds = elapsed * period * 1e-9
         if state is None:
             state = first_state(found.pose, velocity)

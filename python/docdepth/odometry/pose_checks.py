@@ -13,6 +13,7 @@ from docdepth.datasets.base import Dataset
 from docdepth.errors import Finding, InputError, OdometryError
 from docdepth.geometry.se3 import check_rigid, inverse
 from docdepth.geometry.trajectory import Trajectory, parts_of
+from docdepth.odometry.clock import even_steps
 from docdepth.odometry.deskewing import centred_motion
 from docdepth.odometry.first_motion import FIRST_SWEEPS, checked_motion, first_motion
 from docdepth.odometry.level_ground import split_level_ground
@@ -259,10 +260,13 @@ def _thinned(points: NDArray[np.float32], parameters: OdometryParameters) -> NDA
 
 
 def find_jumps(trajectory: Trajectory) -> list[Finding]:
-    """Where the step from one sweep to the next changes by metres, but at gaps."""
+    """Where the step from one sweep to the next changes by metres, but at gaps.
+
+    That of stamps is told by :func:`~docdepth.odometry.clock.find_clock_steps`.
+    """
     if len(trajectory) < 3:
         return []
-    seconds = np.diff(trajectory.times) * 1e-9
+    seconds = even_steps(trajectory) * 1e-9
     velocity = np.diff(trajectory.poses[:, :3, 3], axis=0) / seconds[:, None]
     for part in trajectory.parts[1:]:
         velocity[part.start - 1] = np.nan
