@@ -1,4 +1,4 @@
-"""Whether a camera is changed: only where both halves of a drive ask for the same."""
+"""Whether a camera is changed: only where all parts of a drive ask for the same."""
 
 from __future__ import annotations
 

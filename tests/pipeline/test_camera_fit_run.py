@@ -23,7 +23,7 @@ CHANGE = np.array([0, np.radians(0.5), 0, 0, 0, 0, 6e-3])
 
 def asks(gain: float) -> CameraFit:
     fit = EdgeFit(CHANGE, np.eye(7) * 1e-9, np.zeros(2), 1.6, np.zeros(12), np.zeros(2))
-    return CameraFit(fit, 0.5, 0.1, gain)
+    return CameraFit(fit, 0.5, 0.05, gain)
 
 
 @pytest.fixture

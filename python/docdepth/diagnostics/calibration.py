@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -198,6 +198,10 @@ class RunEdges:
         samples = [profiles(edges, image, camera) for edges, image in pairs]
         return ImageEdges(camera, self.edges, samples, self.motions)
 
+    def every(self, step: int) -> RunEdges:
+        """Each ``step``-th edge of each image."""
+        return replace(self, edges=[one.rows(np.arange(0, len(one), step)) for one in self.edges])
+
     @property
     def count(self) -> int:
         return sum(len(one) for one in self.edges)
@@ -275,15 +279,19 @@ def _with_errors(values: Floats, errors: Floats, digits: int) -> str:
 
 def clear_change(fit: EdgeFit) -> str:
     """The parts of a change that stand out of their errors, in words."""
-    clear = np.abs(fit.change) > _DEVIATIONS * fit.deviations
-    change = np.where(clear, [*fit.turn_deg, *fit.shift_m, fit.time_ms], 0.0)
+    return change_in_words(fit, np.abs(fit.change) > _DEVIATIONS * fit.deviations)
+
+
+def change_in_words(fit: EdgeFit, parts: NDArray[np.bool_]) -> str:
+    """Some parts (7,) of a change in words."""
+    change = np.where(parts, [*fit.turn_deg, *fit.shift_m, fit.time_ms], 0.0)
     tilt, pan, roll, x, y, z = (round(float(part), 2) for part in change[:6])
     place = in_words((tilt, pan, roll, x, y, z)).removesuffix(OTHER_TIMES)
-    parts = [place] if any((tilt, pan, roll, x, y, z)) else []
-    if change[6]:
+    found = [place] if any((tilt, pan, roll, x, y, z)) else []
+    if round(change[6], 1):
         when = "later" if change[6] > 0 else "earlier"
-        parts.append(f"images are taken {abs(change[6]):.1f} ms {when}")
-    return " and ".join(parts)
+        found.append(f"images are taken {abs(change[6]):.1f} ms {when}")
+    return " and ".join(found)
 
 
 def _picture(found: RunEdges, k: int, fit: EdgeFit) -> NDArray[np.uint8]:

@@ -1,4 +1,4 @@
-"""Whether what images say about a camera is sure enough to be taken: both halves of a drive ask."""
+"""Whether what images say about a camera is sure enough to be taken."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.diagnostics.calibration import RunEdges, clear_change
+from docdepth.diagnostics.calibration import RunEdges, change_in_words
 from docdepth.diagnostics.edge_fit import EdgeFit, fit_edges
 
 Floats = NDArray[np.float64]
@@ -16,12 +16,16 @@ LEAST_PIXELS_DEG = 0.04
 """Edges that move by less are left where they are: half a pixel of most cameras."""
 
 FEWEST_IMAGES = 10
-"""So that each half can tell."""
+LEAST_PATH = 60.0
+"""Of all images [m]. The parts of a shorter drive see the same street, and have agreed on turns of
+half a degree that were none."""
 
-_TURN, _PLACE, _TIME = (np.arange(7) // 3 == k for k in range(3))  # parts of a change
+_PARTS = 4  # of the drive, each of which is left out once
+_EVERY = 4  # edges of an image that are used: next to each other they err alike
+_TURN_AND_TIME = np.array([True] * 3 + [False] * 3 + [True])
 _LEAST_SCORE = 1.2  # right ones reach 1.4 to 2.2, another drive's images 1.0 to 1.1
-_ERRORS = 2.0  # standard errors that a part exceeds, and the gain of a half by the fit of the other
-_AGREE = 1.0  # of its displacement, by which the fits of both halves may lie apart
+_ERRORS = 3.0  # by which displacement and gain exceed zero
+_MOST_ERROR_DEG = 0.1  # right ones reach 0.02 to 0.08; 0.3 and more where two changes fit alike
 
 
 @dataclass(frozen=True)
@@ -34,72 +38,58 @@ class CameraFit:
         By all images.
     moved_deg : float
         By how much it moves depth edges, RMS.
-    apart_deg : float
-        By how much the fits of both halves of the drive move them apart, RMS.
+    error_deg : float
+        Standard error of that: by how much fits without a quarter of the drive differ (jackknife).
     gain : float
-        Of the score of each half by the fit of the other, in its standard errors; the lesser one.
+        Of the score of each image, by the fit without its quarter, in standard errors.
     """
 
     fit: EdgeFit
     moved_deg: float
-    apart_deg: float
+    error_deg: float
     gain: float
 
     @property
     def is_sure(self) -> bool:
-        """Whether it is more than an error, both halves agree, and each confirms the other."""
+        """Whether edges move by more than an error, onto edges of images that were not asked."""
         return (
-            self.moved_deg > LEAST_PIXELS_DEG
-            and self.fit.score > _LEAST_SCORE
-            and self.apart_deg < _AGREE * self.moved_deg
+            self.moved_deg > max(LEAST_PIXELS_DEG, _ERRORS * self.error_deg)
+            and self.error_deg < _MOST_ERROR_DEG
             and self.gain > _ERRORS
+            and self.fit.score > _LEAST_SCORE
         )
 
     @property
     def change(self) -> str:
-        """The change in words; empty where no part of it stands out of its error."""
-        return clear_change(self.fit)
+        """The whole change in words."""
+        return change_in_words(self.fit, np.ones(7, np.bool_))
 
 
 def fit_camera(found: RunEdges) -> CameraFit | None:
-    """Fit a camera to the images of a run; None where they are too few to tell.
+    """Fit a camera to the images of a run, and again without each quarter of the drive.
 
-    Each half of the drive is fitted by itself, and what both do not agree on stays as it is. Turn
-    and time are tried first. The place joins them where both halves gain more by what the other
-    finds then: seen from a few metres a turn looks like a shift, and calibrations turn more.
+    Turn, place and time are fitted together. Seen from a few metres a turn looks like a shift, so
+    each part by itself is less sure than where the edges lie. None where images are too few.
     """
     if not found.enough or len(found.edges) < FEWEST_IMAGES:
         return None
-    count, every = len(found.edges), found.seen
-    halves = every.some(range(count // 2)), every.some(range(count // 2, count))
-    if not all(any(map(len, half.edges)) for half in halves):
-        return None
+    every, images = found.every(_EVERY).seen, np.arange(len(found.edges))
+    whole = fit_edges(every, near=fit_edges(every, _TURN_AND_TIME))
+    gains, changes = [], []
+    for part in np.array_split(images, _PARTS):
+        rest, own = every.some(np.setdiff1d(images, part)), every.some(part)
+        if not any(map(len, rest.edges)) or not any(map(len, own.edges)):
+            return None
+        fit = fit_edges(rest, near=whole)
+        gains.append(own.gains(fit))
+        changes.append(fit.change)
+    differ = [every.moved(change) for change in np.array(changes) - np.mean(changes, axis=0)]
+    error = np.sqrt((_PARTS - 1) * np.mean(np.square(differ)))
+    gain = np.concatenate(gains)
     degrees = float(np.degrees(1 / found.stream.camera.K[0, 0]))
-    best: CameraFit | None = None
-    before = [np.zeros(len(half.edges)) for half in halves]
-    for tried in (_TURN | _TIME, _TURN | _TIME | _PLACE):
-        whole = fit_edges(every, tried, None if best is None else best.fit)
-        agreed = _agreed(whole, *(fit_edges(half, tried, whole) for half in halves))
-        whole, first, second = (fit_edges(part, agreed, whole) for part in (every, *halves))
-        gains = [halves[0].gains(second), halves[1].gains(first)]
-        gain = min(_in_errors(now - then) for now, then in zip(gains, before, strict=True))
-        if best is None or gain > _ERRORS:
-            moved, apart = every.moved(whole.change), every.moved(first.change - second.change)
-            best, before = CameraFit(whole, degrees * moved, degrees * apart, gain), gains
-    return best
-
-
-def _agreed(whole: EdgeFit, first: EdgeFit, second: EdgeFit) -> NDArray[np.bool_]:
-    """The parts of a change that both halves see by themselves, and differ in by less than it is.
-
-    A roll of 0.4 degrees was asked for by twenty images in which the half of them saw next to none.
-    """
-    result: NDArray[np.bool_] = np.abs(first.change - second.change) < np.abs(whole.change)
-    for half in (first, second):
-        result &= np.abs(half.change) > _ERRORS * half.deviations
-    return result
-
-
-def _in_errors(gains: Floats) -> float:
-    """The mean over its standard error."""
-    return float(np.mean(gains) / (np.std(gains, ddof=1) / np.sqrt(len(gains)) + 1e-9))
+    return CameraFit(
+        whole,
+        degrees * every.moved(whole.change),
+        degrees * float(error),
+        float(gain.mean() / (gain.std(ddof=1) / np.sqrt(len(gain)) + 1e-9)),
+    )

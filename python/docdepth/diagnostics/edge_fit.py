@@ -107,7 +107,7 @@ class ImageEdges:
     samples: Sequence[NDArray[np.float32]]
     motions: Sequence[Floats]
 
-    def some(self, images: Sequence[int]) -> ImageEdges:
+    def some(self, images: Sequence[int] | NDArray[np.int64]) -> ImageEdges:
         """Those of some images."""
         return ImageEdges(
             self.camera,

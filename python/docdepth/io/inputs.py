@@ -102,10 +102,10 @@ class RunInputs(Checked):
         "FILE",
     )
     camera_fit: Literal["apply", "report", "off"] = Field(
-        "off",
+        "apply",
         description="Whether depth edges that lie beside those of the images change the camera's "
-        "calibration and times. apply: where both halves of the drive agree. report: only say it. "
-        "Drives of less than 50 m may be wrong about it.",
+        "calibration and times. apply: where the quarters of a drive of 60 m agree, its maps are "
+        "drawn again. report: only say it.",
     )
     keep_ego: bool = Field(
         False,

@@ -1,80 +1,85 @@
-"""What images say of the cameras of a run, before its maps are drawn."""
+"""What the images of a run say of its cameras, once its maps are drawn."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 
 from docdepth.concurrency import Progress
 from docdepth.datasets.base import CameraStream, Dataset
 from docdepth.diagnostics.calibration import edges_of_images
-from docdepth.diagnostics.camera_fit import FEWEST_IMAGES, CameraFit, fit_camera
+from docdepth.diagnostics.camera_fit import FEWEST_IMAGES, LEAST_PATH, CameraFit, fit_camera
 from docdepth.errors import Finding, log_findings
-from docdepth.geometry.camera import View
+from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.manifest import StoredCameraFit
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.tracks import tracks_in
-from docdepth.pipeline.cameras import fitted, open_cameras
-from docdepth.render.backends import Renderer
-from docdepth.render.depth_map import compose_depth, render_list
-from docdepth.render.render_sweep import RenderSweep, SweepCache, prepare_sweep
-from docdepth.render.selection import needed_sweeps
+from docdepth.pipeline.cameras import open_cameras
+from docdepth.pipeline.render import report
 
 log = logging.getLogger(__name__)
 
-_VERSION = 2  # counted up when the same images ask for another change
+_VERSION = 4  # counted up when the same images ask for another change
 _IMAGES = 40
 
 
-def fit_cameras(
-    run: RunFolder,
-    recording: Dataset,
-    threads: int,
-    renderer: Renderer | None = None,
-    progress: Progress | None = None,
-) -> bool:
-    """Fit cameras of a run, as they were given, to their images; run.yaml keeps what was found.
+def cameras_to_fit(run: RunFolder, recording: Dataset) -> list[CameraStream]:
+    """Cameras as they were given, whose images have not been asked yet.
+
+    What was found for another calibration, or on another request, is taken back.
+    """
+    found = []
+    names = [name for name, entry in run.cameras.items() if entry.virtual is None]
+    for stream in open_cameras(run.inputs, recording, names) if names else []:
+        entry = run.cameras[stream.name]
+        if entry.fit is not None and entry.fit.made_of != _made_of(run, stream):
+            entry = run.cameras[stream.name] = entry.model_copy(update={"fit": None})
+        asks = run.inputs.camera_fit != "off" and run.parameters.render.primitive != "splats"
+        if asks and stream.images and entry.fit is None:
+            found.append(stream)
+    return found
+
+
+def fit_cameras(run: RunFolder, recording: Dataset, progress: Progress | None = None) -> bool:
+    """Fit cameras of a run to their images by the maps that were drawn; run.yaml keeps the result.
 
     Returns
     -------
     bool
-        Whether a camera is another one now.
+        Whether a camera is another one now, and its maps have to be drawn again.
     """
-    changed = False
-    mode = run.inputs.camera_fit
-    names = [name for name, entry in run.cameras.items() if entry.virtual is None]
-    for stream in open_cameras(run.inputs, recording, names) if names else []:
-        entry = run.cameras[stream.name]
-        if mode == "off" or not stream.images or run.parameters.render.primitive == "splats":
-            continue
-        given = stream.T_camera_lidar.tolist(), stream.times.tolist(), stream.camera.as_dict()
-        made_of = stage_key(_VERSION, run.stage("classify").key, mode, *given)
-        if entry.fit is not None and entry.fit.made_of == made_of:
-            continue
-        found = _fit(run, stream, threads, renderer, progress)
-        stored = StoredCameraFit(made_of=made_of)
+    apply, verdicts = run.inputs.camera_fit == "apply", []
+    streams = cameras_to_fit(run, recording)
+    for stream in streams:
+        found = _fit(run, stream, progress)
+        stored = StoredCameraFit(made_of=_made_of(run, stream))
         if found is not None and found.is_sure:
-            finding = _finding(stream.name, found, mode == "apply")
-            log_findings(log, [finding])
-            stored = _stored(found, made_of, finding.text, mode == "apply")
-        before = fitted(stream, entry.fit), fitted(stream, stored)
-        changed |= not all(map(np.array_equal, *([s.T_camera_lidar, s.times] for s in before)))
-        run.cameras[stream.name] = entry.model_copy(update={"fit": stored})
+            finding = _finding(stream.name, found, apply)
+            verdicts.append(finding)
+            stored = _stored(found, stored.made_of, finding.text, apply)
+        run.cameras[stream.name] = run.cameras[stream.name].model_copy(update={"fit": stored})
+    log_findings(log, verdicts)
+    if streams:
         run.save()
-    return changed
+    if verdicts and not apply:
+        report(run)
+    return bool(verdicts) and apply
+
+
+def _made_of(run: RunFolder, stream: CameraStream) -> str:
+    given = stream.T_camera_lidar.tolist(), stream.times.tolist(), stream.camera.as_dict()
+    return stage_key(_VERSION, run.inputs.camera_fit, *given)
 
 
 def _finding(name: str, found: CameraFit, apply: bool) -> Finding:
-    drawn = "with this change" if apply else "without it"
+    drawn = "drawn again with this change" if apply else "drawn without it"
     return Finding(
         "camera-fit",
         name,
-        f"depth edges lie {found.moved_deg:.2f} degrees beside those of the images; they fit when "
-        f"{found.change}. Both halves of the drive ask for it; maps are drawn {drawn}",
+        f"depth edges lie {found.moved_deg:.2f} +- {found.error_deg:.2f} degrees beside those of "
+        f"the images; they fit when {found.change}. Each quarter of the drive confirms what the "
+        f"others ask for; maps are {drawn}",
         "`camera_fit='report'` draws with calibration and times as they are given" if apply else "",
         "note",
     )
@@ -94,44 +99,15 @@ def _stored(found: CameraFit, made_of: str, verdict: str, apply: bool) -> Stored
     )
 
 
-def _fit(
-    run: RunFolder,
-    stream: CameraStream,
-    threads: int,
-    renderer: Renderer | None,
-    progress: Progress | None,
-) -> CameraFit | None:
-    trajectory, tracks = run.trajectory(), tracks_in(run.path)
-    covered = trajectory.covers(stream.times) & ~trajectory.in_gap(stream.times)
-    inside = np.flatnonzero(covered).tolist()
-    if len(inside) < FEWEST_IMAGES:
+def _fit(run: RunFolder, stream: CameraStream, progress: Progress | None) -> CameraFit | None:
+    maps = maps_in(run.path / "depth" / run.cameras[stream.name].folder)
+    drawn = [k for k, name in enumerate(stream.names) if name in maps]
+    trajectory = run.trajectory()
+    path = trajectory.arc_length_at(stream.times[drawn])
+    if len(drawn) < FEWEST_IMAGES or float(np.ptp(path)) < LEAST_PATH:
         return None
-    depth = _maps(run, stream, threads, renderer)
     found = edges_of_images(
-        run.path, stream, inside, depth, trajectory, tracks, progress, _IMAGES, FEWEST_IMAGES
-    )
+        run.path, stream, drawn, lambda k: read_depth(maps[stream.names[k]]),
+        trajectory, tracks_in(run.path), progress, _IMAGES, FEWEST_IMAGES,
+    )  # fmt: skip
     return fit_camera(found)
-
-
-def _maps(
-    run: RunFolder, stream: CameraStream, threads: int, renderer: Renderer | None
-) -> Callable[[int], NDArray[np.float32]]:
-    """Draws the depth map of an image by its index."""
-    trajectory, tracks, p = run.trajectory(), tracks_in(run.path), run.parameters.render
-
-    def load(index: int, whole: bool) -> RenderSweep:
-        frame, _ = run.classified_frame(index)
-        return prepare_sweep(frame, index, trajectory, p, tracks, whole)
-
-    cache = SweepCache(load)
-
-    def depth(index: int) -> NDArray[np.float32]:
-        time = int(stream.times[index])
-        with ThreadPoolExecutor(2) as pool:
-            needed = needed_sweeps(trajectory, time, p, tracks)
-            sweeps = {i: s.result() for (i, _), s in cache.request(needed.items(), pool).items()}
-        view = View.at(stream.camera, stream.T_camera_lidar, trajectory, time)
-        drawn = render_list(view, trajectory, sweeps.__getitem__, p, tracks)
-        return compose_depth(drawn, threads, renderer)
-
-    return depth

@@ -23,7 +23,7 @@ from docdepth.errors import (
 from docdepth.io.inputs import RunInputs, names_in
 from docdepth.io.manifest import CameraEntry, Keep, VirtualCamera
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.camera_fit import fit_cameras
+from docdepth.pipeline.camera_fit import cameras_to_fit, fit_cameras
 from docdepth.pipeline.cameras import (
     RunCamera,
     add_cameras,
@@ -318,27 +318,33 @@ def _make(folder: RunFolder, recording: Dataset, execution: Execution) -> None:
     poses, cameras = known_poses(folder.inputs, recording), run_cameras(folder, recording)
     if execution.dry_run:
         return _check(folder, recording, cameras, workers.jobs)
+    asked = not cameras_to_fit(folder, recording)
+    cameras = run_cameras(folder, recording)
     stages = plan(folder, recording, poses, cameras)
     is_done = all([stage.state().state == "done" for stage in stages])
-    if is_done and index_is_whole(folder):
+    if is_done and asked and index_is_whole(folder):
         _save_done(folder, stages)
         _delete_frames(folder)
         return
     if not is_done:
         _check(folder, recording, cameras, workers.jobs)
+
+    def draw(cameras: Sequence[RunCamera], stages: Sequence[Stage]) -> None:
+        streams, renders = [c.stream for c in cameras], {s.name: s for s in stages[2:]}
+        run_render(folder, streams, workers.threads, progress, execution.renderer, workers, renders)
+
     with folder.lock("run"), workers:
         folder.manifest.frames_deleted = None  # they are needed
         for _ in range(_MOST_REPAIRS):
             stages = plan(folder, recording, poses, cameras)
             try:
-                threads, renderer = workers.threads, execution.renderer
-                run_odometry(folder, recording, poses, progress, threads, stages[0])
-                run_classify(folder, threads, progress, workers, stages[1])
-                if fit_cameras(folder, recording, threads, renderer, progress):
+                run_odometry(folder, recording, poses, progress, workers.threads, stages[0])
+                run_classify(folder, workers.threads, progress, workers, stages[1])
+                draw(cameras, stages)
+                if fit_cameras(folder, recording, progress):
                     cameras = run_cameras(folder, recording)
                     stages = plan(folder, recording, poses, cameras)
-                streams, renders = [c.stream for c in cameras], {s.name: s for s in stages[2:]}
-                run_render(folder, streams, threads, progress, renderer, workers, renders)
+                    draw(cameras, stages)
                 _save_done(folder, stages)
                 _delete_frames(folder)
                 return
