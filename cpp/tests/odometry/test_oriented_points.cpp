@@ -54,6 +54,15 @@ TEST_CASE("normals are those of the nearest points, whatever the threads") {
   CHECK(one.normals == four.normals);
 }
 
+TEST_CASE("where there are fewer points than neighbours, all of them form the plane") {
+  Matrix points = cloud(9, 7);
+  points.col(1) *= 0.1f;
+  const OrientedPoints all = with_normals(points, 15, 1);
+  const Eigen::Vector3d expected = plain_normal(points, 0, 9);
+  for (const auto& normal : all.normals)
+    CHECK(std::abs(expected.dot(normal.cast<double>())) > 1 - 1e-5);
+}
+
 TEST_CASE("too few points have no normals") {
   const OrientedPoints few = with_normals(cloud(4, 1), 15, 1);
   REQUIRE(few.normals.size() == 4);
