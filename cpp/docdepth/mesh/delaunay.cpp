@@ -1,6 +1,7 @@
-// The returns of a sweep lie in rings. So the directions are cut into flat strips, each strip is
-// sorted by azimuth, neighbouring strips are triangulated in linear time, and edge flips (Lawson)
-// finish the Delaunay triangulation. All predicates are exact in integers, so the flips always end.
+// The returns of a sweep lie in rings. So the directions are put into chains, ring by ring where
+// there are rings, in flat strips where not. Neighbouring chains are triangulated in linear time,
+// and edge flips (Lawson) finish the Delaunay triangulation. All predicates are exact in integers,
+// so the flips always end, and the result does not depend on the chains.
 //
 // Why not a library: labels and depth have to be the same on every machine, and integers make the
 // triangulation exact and unique. General libraries do not use that returns lie in rings: Qhull, by
@@ -10,32 +11,14 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <iterator>
 #include <memory>
+#include <utility>
+
+#include "docdepth/geometry/simd.hpp"
+#include "docdepth/mesh/direction_chains.hpp"
 
 namespace docdepth {
 namespace {
-
-/// The cylinder of directions is unrolled onto a plane. Returns this near to the seam behind the
-/// sensor are repeated beyond the other end [units].
-constexpr std::int32_t kSeamOverlap = kTurn / 24;
-/// Guard vertices stand this far out [units], one degree beyond the repeated returns.
-constexpr std::int32_t kGuardAzimuth = kTurn / 2 + kSeamOverlap + kTurn / 360;
-/// Strips of returns are this many times as high as evenly spread returns would be apart: about a
-/// ring or two. Measured on HDL-64: half of it makes six times the flips, twice of it half as many
-/// more.
-constexpr double kStripHeight = 2.0;
-struct Vertex {
-  std::int32_t x, y;
-  std::uint32_t number;  // row of the return; guards continue the numbering
-};
-
-bool same(const Vertex& a, const Vertex& b) {
-  return a.x == b.x && a.y == b.y;
-}
-bool before(const Vertex& a, const Vertex& b) {
-  return a.x != b.x ? a.x < b.x : a.y < b.y;
-}
 
 /// Twice the signed area of a, b, c: positive if they turn counterclockwise.
 std::int64_t orientation(const Vertex& a, const Vertex& b, const Vertex& c) {
@@ -61,195 +44,215 @@ bool is_within(const Vertex& a, const Vertex& b, const Vertex& c, const Vertex& 
   return std::min(c.number, d.number) < std::min(a.number, b.number);
 }
 
-/// What lies beyond a half edge: its other half (below kOpenChain), or the edge of a chain after
-/// vertex n - kOpenChain whose upper side is not triangulated yet, or nothing (kNone).
-constexpr std::uint32_t kOpenChain = 0x80000000;
-
-/// Stable counting sort by keys below `keys`.
-/// @return first vertex of each key, and the end
-template <class Key>
-std::vector<std::uint32_t> counting_sort(std::vector<Vertex>& vertices, std::size_t keys,
-                                         const Key& key) {
-  std::vector<std::uint32_t> begin(keys + 1, 0);
-  for (const Vertex& v : vertices) ++begin[key(v) + 1];
-  for (std::size_t k = 0; k < keys; ++k) begin[k + 1] += begin[k];
-  auto position = begin;
-  std::vector<Vertex> sorted(vertices.size());
-  for (const Vertex& v : vertices) sorted[position[key(v)]++] = v;
-  vertices.swap(sorted);
-  return begin;
+DOCDEPTH_KERNEL Floats difference(const std::int32_t* a, const std::int32_t* b) {
+  return __builtin_convertvector(load<Ints>(a) - load<Ints>(b), Floats);
 }
 
-/// Cut elevations into strips of about `height`, at elevations with few returns. A cut through a
-/// ring leaves a row of slivers between its halves, which takes up to ten times the flips (measured
-/// with sixteen rings).
-///
-/// @param below  number of returns below each elevation, and of all
-std::vector<std::int32_t> strips_of(const std::vector<std::uint32_t>& below, std::int32_t height) {
-  const auto count = static_cast<std::int32_t>(below.size()) - 1, reach = height / 4;
-  const auto around = [&](std::int32_t y) {
-    return below[std::min(y + reach, count)] - below[std::max(y - reach, 0)];
-  };
-  std::vector<std::int32_t> borders = {0};
-  while (borders.back() < count) {
-    const std::int32_t aim = borders.back() + height, last = std::min(aim + height / 2, count);
-    std::int32_t best = std::min(aim, count);
-    for (std::int32_t y = aim - height / 2; y <= last; ++y) {
-      const auto gain = std::int64_t{around(best)} - around(y);
-      if (gain > 0 || (gain == 0 && std::abs(y - aim) < std::abs(best - aim))) best = y;
+/// Finds the edges of some triangles that may not be Delaunay, eight at a time. is_within in single
+/// precision, whose error is far below the share kUnsure of the terms.
+struct FindDoubtful {
+  static constexpr float kUnsure = 1e-5f;
+
+  DOCDEPTH_KERNEL static void run(const Triangulation& triangles, std::size_t first,
+                                  const Vertex* vertices, std::vector<std::uint32_t>& doubtful) {
+    std::uint32_t edges[kLanes] = {};
+    std::int32_t x[4][kLanes] = {}, y[4][kLanes] = {};
+    int lane = 0;
+    for (std::size_t t = first; t < triangles.size(); ++t) {
+      const auto& [corners, across] = triangles[t];
+      for (std::uint32_t i = 0; i < 3; ++i) {
+        const auto e = static_cast<std::uint32_t>(8 * t) + i;
+        const std::uint32_t f = across[i];
+        if (f > e) continue;  // it is tested from the other side
+        const std::uint32_t j = f % 4;
+        const std::uint32_t of[] = {corners[i], corners[i == 2 ? 0 : i + 1],
+                                    corners[i == 0 ? 2 : i - 1],
+                                    triangles[f / 8].corners[j == 0 ? 2 : j - 1]};
+        for (int k = 0; k < 4; ++k) {
+          x[k][lane] = vertices[of[k]].x;
+          y[k][lane] = vertices[of[k]].y;
+        }
+        edges[lane] = e;
+        if (++lane == kLanes) {
+          test(x, y, edges, lane, doubtful);
+          lane = 0;
+        }
+      }
     }
-    borders.push_back(best);
+    test(x, y, edges, lane, doubtful);
   }
-  return borders;
-}
+
+  DOCDEPTH_KERNEL static void test(const std::int32_t (&x)[4][kLanes],
+                                   const std::int32_t (&y)[4][kLanes], const std::uint32_t* edges,
+                                   int count, std::vector<std::uint32_t>& doubtful) {
+    const Floats cax = difference(x[0], x[2]), cay = difference(y[0], y[2]);
+    const Floats cbx = difference(x[1], x[2]), cby = difference(y[1], y[2]);
+    const Floats dax = difference(x[0], x[3]), day = difference(y[0], y[3]);
+    const Floats dbx = difference(x[1], x[3]), dby = difference(y[1], y[3]);
+    const Floats sine_c = cax * cby - cay * cbx, cosine_c = cax * cbx + cay * cby;
+    const Floats sine_d = dbx * day - dby * dax, cosine_d = dax * dbx + day * dby;
+    const Floats size_c = (absolute(cax) + absolute(cay)) * (absolute(cbx) + absolute(cby));
+    const Floats size_d = (absolute(dax) + absolute(day)) * (absolute(dbx) + absolute(dby));
+    const Ints unsure = sine_c * cosine_d + cosine_c * sine_d <= kUnsure * size_c * size_d;
+    if (!any(unsure)) return;
+    for (int lane = 0; lane < count; ++lane)
+      if (unsure[lane]) doubtful.push_back(edges[lane]);
+  }
+};
+
+/// What lies beyond a half edge: its other half (below kOpen), or the link n - kOpen of the upper
+/// chain, beyond which nothing is triangulated yet, or nothing (kNone).
+constexpr std::uint32_t kOpen = 0x80000000;
 
 class Triangulator {
  public:
-  Triangulator(const std::vector<Direction>& directions, const std::vector<std::uint32_t>& numbers);
-  Triangulation triangulation(std::size_t returns) const;
+  explicit Triangulator(Chains chains);
+  Triangulation take(std::size_t returns);
 
  private:
-  /// An edge from a corner to the next, counterclockwise. Triangle t has the edges 4 t, 4 t + 1 and
-  /// 4 t + 2, which lie together in the cache; 4 t + 3 is not used.
-  struct HalfEdge {
-    std::uint32_t corner, across;
+  /// A vertex of a chain, and the half edge below the way to the next one.
+  struct Link {
+    std::uint32_t vertex, below;
   };
-
-  void lay_out(const std::vector<Direction>& directions, const std::vector<std::uint32_t>& numbers);
-  void add_guard_row(std::int32_t y, std::int32_t distance, std::uint32_t& guard);
-  void join(std::size_t lower, std::size_t upper);
-  void legalize(std::uint32_t first);
-  bool flip(std::uint32_t e);
-  std::uint32_t add(std::uint32_t a, std::uint32_t b, std::uint32_t c);
-  void link(std::uint32_t e, std::uint32_t beyond);
-
-  static std::uint32_t next(std::uint32_t e) { return e % 4 == 2 ? e - 2 : e + 1; }
-  static std::uint32_t previous(std::uint32_t e) { return e % 4 == 0 ? e + 2 : e - 1; }
-
-  std::vector<Vertex> vertices_;
-  std::vector<std::uint32_t> strip_begin_;  // of the non-empty strips, and the end
-  // Plain memory: a vector would zero it first and check its capacity at every use.
-  std::unique_ptr<HalfEdge[]> edges_;  // at most two triangles a vertex
-  std::uint32_t edge_count_ = 0;
-  std::vector<std::uint32_t> below_;  // half edge below vertex k and the next one of its strip
-
   struct Open {
     std::uint32_t vertex;
     std::uint32_t line;  // beyond the edge to the previous vertex on the stack
   };
+
+  void raise(std::uint32_t begin, std::uint32_t end);
+  void join(std::uint32_t lower, std::uint32_t lower_end, std::uint32_t upper,
+            std::uint32_t upper_end);
+  std::uint32_t connect(std::size_t open, std::uint32_t v, bool on_upper, std::uint32_t line);
+  void insert(const Link& buried);
+  void legalize(std::size_t first);
+  void finish_flips();
+  void flip(std::uint32_t e);
+  std::uint32_t add(std::uint32_t a, std::uint32_t b, std::uint32_t c);
+  void link(std::uint32_t e, std::uint32_t beyond);
+
+  std::int64_t turn(std::uint32_t a, std::uint32_t b, std::uint32_t c) const {
+    return orientation(vertices_[a], vertices_[b], vertices_[c]);
+  }
+  std::uint32_t* words() { return reinterpret_cast<std::uint32_t*>(triangles_.data()); }
+  std::uint32_t& corner(std::uint32_t e) { return words()[e]; }
+  std::uint32_t& across(std::uint32_t e) { return words()[e + 4]; }
+  static std::uint32_t next(std::uint32_t e) { return e % 4 == 2 ? e - 2 : e + 1; }
+  static std::uint32_t previous(std::uint32_t e) { return e % 4 == 0 ? e + 2 : e - 1; }
+
+  std::vector<Vertex> vertices_;
+  /// Of vertices and half edges until they are done. Half edge 8 t + i leads from corner i of
+  /// triangle t to the next, counterclockwise: its number is that of a word.
+  Triangulation triangles_;
+  std::vector<Link> front_, upper_;  // the upper border of the triangles, and its next one
+  std::vector<Link> buried_;         // vertices below the front, and a half edge near to each
   std::unique_ptr<Open[]> stack_;
   std::vector<std::uint32_t> doubtful_;  // half edges that may have to flip
 };
 
-Triangulator::Triangulator(const std::vector<Direction>& directions,
-                           const std::vector<std::uint32_t>& numbers) {
-  lay_out(directions, numbers);
-  edges_.reset(new HalfEdge[8 * vertices_.size()]);
-  below_.assign(vertices_.size(), kNone);
+Triangulator::Triangulator(Chains chains) : vertices_(std::move(chains.vertices)) {
+  triangles_.reserve(2 * vertices_.size());
   stack_.reset(new Open[vertices_.size()]);
-  // One strip after the other, while it is in the cache.
-  for (std::size_t s = 0; s + 2 < strip_begin_.size(); ++s) {
-    const std::uint32_t first = edge_count_;
-    join(s, s + 1);
+  for (auto v = chains.begin[0]; v < chains.begin[1]; ++v) front_.push_back({v, kNone});
+  // One chain after the other, while it is in the cache.
+  for (std::size_t c = 1; c + 1 < chains.begin.size(); ++c) {
+    const std::size_t first = triangles_.size();
+    raise(chains.begin[c], chains.begin[c + 1]);
     legalize(first);
+    front_.swap(upper_);
   }
+  front_.swap(upper_);
+  for (const Link& buried : buried_) insert(buried);
 }
 
-/// A strip of guards at elevation y.
-void Triangulator::add_guard_row(std::int32_t y, std::int32_t distance, std::uint32_t& guard) {
-  strip_begin_.push_back(static_cast<std::uint32_t>(vertices_.size()));
-  for (std::int32_t x = -kGuardAzimuth; x < kGuardAzimuth; x += distance)
-    vertices_.push_back({x, y, guard++});
-  vertices_.push_back({kGuardAzimuth, y, guard++});
-}
-
-/// Sort the returns into strips, with guards around them.
-void Triangulator::lay_out(const std::vector<Direction>& directions,
-                           const std::vector<std::uint32_t>& numbers) {
-  std::vector<Vertex> sorted;
-  sorted.reserve(numbers.size() + numbers.size() / 8);
-  std::int32_t low = kTurn, high = -kTurn, left = kTurn, right = -kTurn;
-  for (const auto n : numbers) {
-    const auto [x, y] = directions[n];
-    low = std::min(low, y);
-    high = std::max(high, y);
-    left = std::min(left, x);
-    right = std::max(right, x);
-    sorted.push_back({x, y, n});
-    if (x < -kTurn / 2 + kSeamOverlap) sorted.push_back({x + kTurn, y, n});
-    if (x >= kTurn / 2 - kSeamOverlap) sorted.push_back({x - kTurn, y, n});
+/// Triangulate from the front to the next chain. Where the two cross, the new front goes by
+/// vertices of the old one that lie above the chain, and vertices of the chain below the old front
+/// have to wait: so nothing ever overlaps.
+void Triangulator::raise(std::uint32_t begin, std::uint32_t end) {
+  upper_.clear();
+  const auto lower = static_cast<std::uint32_t>(front_.size());
+  std::uint32_t i = 0, passed = 0;  // links of the front before v, and before `last`
+  std::uint32_t last = begin;       // vertex of the chain
+  std::uint32_t joined_lower = 0, joined_upper = 0;
+  for (auto v = begin; v < end; ++v) {
+    while (i < lower && !before(vertices_[v], vertices_[front_[i].vertex])) ++i;
+    if (i < lower && turn(front_[i - 1].vertex, front_[i].vertex, v) <= 0) {
+      buried_.push_back({v, front_[i - 1].below});
+      continue;
+    }
+    for (; passed < i; ++passed) {
+      const std::uint32_t f = front_[passed].vertex;
+      if (v == begin || turn(last, v, f) < 0) continue;
+      const auto place = static_cast<std::uint32_t>(upper_.size());
+      upper_.push_back({f, kNone});
+      join(joined_lower, passed, joined_upper, place);
+      joined_lower = passed;
+      joined_upper = place;
+    }
+    upper_.push_back({v, kNone});
+    last = v;
   }
-  const double area = (high - low + 1.0) * (right - left + 1.0);
-  const auto height =
-      std::max<std::int32_t>(2, std::lround(kStripHeight * std::sqrt(area / numbers.size())));
-  // Guards stand so far out that they only take slivers from the border.
-  const std::int32_t guard_distance = std::max(kTurn / 360, 2 * height);
-
-  // By strip; within a strip by azimuth, then elevation, then row.
-  const auto by_elevation = [&](const Vertex& v) { return v.y - low; };
-  const auto below = counting_sort(sorted, high - low + 1, by_elevation);
-  counting_sort(sorted, 2 * kGuardAzimuth, [](const Vertex& v) { return v.x + kGuardAzimuth; });
-  const std::vector<std::int32_t> borders = strips_of(below, height);
-  const std::size_t strips = borders.size() - 1;
-  std::vector<std::uint16_t> strip_of(high - low + 1);
-  for (std::size_t s = 0; s < strips; ++s)
-    std::fill(strip_of.begin() + borders[s], strip_of.begin() + borders[s + 1], s);
-  const auto begin =
-      counting_sort(sorted, strips, [&](const Vertex& v) { return strip_of[v.y - low]; });
-
-  auto guard = static_cast<std::uint32_t>(directions.size());
-  vertices_.reserve(sorted.size() + 2 * strips + 4 * kGuardAzimuth / guard_distance + 4);
-  add_guard_row(low - guard_distance, guard_distance, guard);
-  for (std::size_t s = 0; s < strips; ++s) {
-    if (begin[s] == begin[s + 1]) continue;
-    const std::int32_t middle = low + (borders[s] + borders[s + 1] - 1) / 2;
-    strip_begin_.push_back(static_cast<std::uint32_t>(vertices_.size()));
-    vertices_.push_back({-kGuardAzimuth, middle, guard++});
-    std::unique_copy(sorted.begin() + begin[s], sorted.begin() + begin[s + 1],
-                     std::back_inserter(vertices_), same);
-    vertices_.push_back({kGuardAzimuth, middle, guard++});
-  }
-  add_guard_row(high + guard_distance, guard_distance, guard);
-  strip_begin_.push_back(static_cast<std::uint32_t>(vertices_.size()));
+  join(joined_lower, lower - 1, joined_upper, static_cast<std::uint32_t>(upper_.size()) - 1);
 }
 
 std::uint32_t Triangulator::add(std::uint32_t a, std::uint32_t b, std::uint32_t c) {
-  const std::uint32_t e = edge_count_;
-  edges_[e] = {a, kNone}, edges_[e + 1] = {b, kNone}, edges_[e + 2] = {c, kNone};
-  edges_[e + 3] = {kNone, kNone};
-  edge_count_ += 4;
-  return e;
+  triangles_.push_back({{a, b, c}, {kNone, kNone, kNone}});
+  return 8 * (static_cast<std::uint32_t>(triangles_.size()) - 1);
 }
 
 /// Connect half edge e with what lies beyond it.
 void Triangulator::link(std::uint32_t e, std::uint32_t beyond) {
-  edges_[e].across = beyond;
-  if (beyond < kOpenChain)
-    edges_[beyond].across = e;
+  across(e) = beyond;
+  if (beyond < kOpen)
+    across(beyond) = e;
   else if (beyond != kNone)
-    below_[beyond - kOpenChain] = e;
+    upper_[beyond - kOpen].below = e;
 }
 
-/// Triangulate between two neighbouring strips. Their chains bound a polygon that is monotone in
-/// azimuth, so one pass with a stack suffices (Garey et al. 1978).
-void Triangulator::join(std::size_t lower, std::size_t upper) {
-  std::uint32_t i = strip_begin_[lower], j = strip_begin_[upper];
-  const std::uint32_t i_end = strip_begin_[lower + 1], j_end = strip_begin_[upper + 1];
+/// Connect v with all open vertices of the other chain.
+/// @param line  beyond the edge from v to the first of them
+/// @return beyond the edge from v to the last of them
+std::uint32_t Triangulator::connect(std::size_t open, std::uint32_t v, bool on_upper,
+                                    std::uint32_t line) {
+  for (std::size_t k = 0; k + 1 < open; ++k) {
+    const std::uint32_t far = stack_[k].vertex, mid = stack_[k + 1].vertex;
+    const std::uint32_t e = on_upper ? add(v, far, mid)   // v-far, far-mid, mid-v
+                                     : add(v, mid, far);  // v-mid, mid-far, far-v
+    link(e + 1, stack_[k + 1].line);
+    link(on_upper ? e : e + 2, line);
+    line = on_upper ? e + 2 : e;
+  }
+  return line;
+}
+
+/// Triangulate between parts of the front and of the next one. Both begin at one vertex, or at the
+/// first guard of each, and end at one vertex, or at the last guards. They bound a polygon that is
+/// monotone in azimuth, so one pass with a stack suffices (Garey et al. 1978).
+void Triangulator::join(std::uint32_t lower, std::uint32_t lower_end, std::uint32_t upper,
+                        std::uint32_t upper_end) {
+  const bool from_one = front_[lower].vertex == upper_[upper].vertex;
+  const bool to_one = front_[lower_end].vertex == upper_[upper_end].vertex;
+  if (from_one && to_one && lower_end == lower + 1 && upper_end == upper + 1) {
+    if (front_[lower].below != kNone) link(front_[lower].below, kOpen | upper);
+    return;
+  }
   std::size_t open = 0;
-  stack_[open++] = {i++, kNone};
-  stack_[open++] = {j++, kNone};
+  stack_[open++] = {front_[lower].vertex, kNone};
+  if (!from_one) stack_[open++] = {upper_[upper].vertex, kNone};
   bool top_on_upper = true;
+  std::uint32_t i = lower + 1, j = upper + 1;
+  const std::uint32_t i_end = lower_end + !to_one, j_end = upper_end + !to_one;
   while (i < i_end || j < j_end) {
-    const bool on_upper = i == i_end || (j < j_end && before(vertices_[j], vertices_[i]));
-    const std::uint32_t v = on_upper ? j++ : i++;
-    // The chain's edge that ends at v.
-    std::uint32_t line = on_upper ? (kOpenChain | (v - 1)) : below_[v - 1];
+    const bool on_upper = i == i_end || (j < j_end && before(vertices_[upper_[j].vertex],
+                                                             vertices_[front_[i].vertex]));
+    // The edge of the way that ends at v.
+    std::uint32_t line = on_upper ? kOpen | (j - 1) : front_[i - 1].below;
+    const std::uint32_t v = on_upper ? upper_[j++].vertex : front_[i++].vertex;
     if (on_upper == top_on_upper) {
-      // Cut off the corners of the chain that are visible from v.
+      // Cut off the corners of the way that are visible from v.
       while (open >= 2) {
         const Open mid = stack_[open - 1], far = stack_[open - 2];
-        const auto turn = orientation(vertices_[far.vertex], vertices_[mid.vertex], vertices_[v]);
-        if (on_upper ? turn >= 0 : turn <= 0) break;
+        const auto corner = turn(far.vertex, mid.vertex, v);
+        if (on_upper ? corner >= 0 : corner <= 0) break;
         const std::uint32_t e = on_upper ? add(v, mid.vertex, far.vertex)   // v-mid, mid-far, far-v
                                          : add(v, far.vertex, mid.vertex);  // v-far, far-mid, mid-v
         link(e + 1, mid.line);
@@ -258,92 +261,126 @@ void Triangulator::join(std::size_t lower, std::size_t upper) {
         --open;
       }
     } else {
-      // All open vertices of the other chain are visible from v; `line` leads to the first.
-      for (std::size_t k = 0; k + 1 < open; ++k) {
-        const std::uint32_t far = stack_[k].vertex, mid = stack_[k + 1].vertex;
-        const std::uint32_t e = on_upper ? add(v, far, mid)   // v-far, far-mid, mid-v
-                                         : add(v, mid, far);  // v-mid, mid-far, far-v
-        link(e + 1, stack_[k + 1].line);
-        link(on_upper ? e : e + 2, line);
-        line = on_upper ? e + 2 : e;
-      }
+      line = connect(open, v, on_upper, line);
       stack_[0] = {stack_[open - 1].vertex, kNone};
       open = 1;
     }
     stack_[open++] = {v, line};
     top_on_upper = on_upper;
   }
+  if (!to_one) return;
+  // The last vertex is of both ways; the open ones are of one.
+  std::uint32_t below = front_[lower_end - 1].below, above = kOpen | (upper_end - 1);
+  if (!top_on_upper) std::swap(below, above);
+  link(connect(open, front_[lower_end].vertex, !top_on_upper, below), above);
 }
 
-/// Flip edges (Lawson) until every edge from `first` on is Delaunay, and every other one again.
-void Triangulator::legalize(std::uint32_t first) {
-  for (std::uint32_t start = first; start < edge_count_; ++start) {
-    if (edges_[start].across > start) continue;  // it is tested from the other side
-    if (!flip(start)) continue;                  // most are Delaunay
-    while (!doubtful_.empty()) {
-      const std::uint32_t e = doubtful_.back();
-      doubtful_.pop_back();
-      flip(e);
+/// Insert a vertex into the finished triangulation.
+void Triangulator::insert(const Link& buried) {
+  const std::uint32_t v = buried.vertex;
+  std::uint32_t e = buried.below - buried.below % 8;
+  for (std::uint32_t inside = 0; inside < 3;) {  // walk there
+    if (turn(corner(e), corner(next(e)), v) < 0) {
+      e = across(e);
+      inside = 0;
     }
+    e = next(e);
+    ++inside;
+  }
+  for (std::uint32_t k = 0; k < 3; ++k, e = next(e)) {
+    Vertex& w = vertices_[corner(e)];
+    if (before(w, vertices_[v]) || before(vertices_[v], w)) continue;
+    if (w.number < vertices_[v].number) return;
+    // Of equal directions the first is taken, and by its row edges between equal angles are told.
+    w.number = vertices_[v].number;
+    std::uint32_t around = e;
+    do {
+      for (const auto edge : {around, next(around), previous(around)}) doubtful_.push_back(edge);
+      around = across(previous(around));
+    } while (around != e);
+    finish_flips();
+    return;
+  }
+  const std::uint32_t f = next(e), g = next(f);
+  const std::uint32_t a = corner(e), b = corner(f), c = corner(g);
+  // a b c becomes a b v, b c v and c a v.
+  const std::uint32_t right = add(b, c, v), left = add(c, a, v);
+  link(right, across(f));
+  link(left, across(g));
+  corner(g) = v;
+  link(f, right + 2);
+  link(right + 1, left + 2);
+  link(left + 1, g);
+  for (const auto outer : {right, left, e}) doubtful_.push_back(outer);
+  finish_flips();
+}
+
+/// Flip edges (Lawson) until all edges of the triangles from `first` on are Delaunay, and all
+/// others again.
+void Triangulator::legalize(std::size_t first) {
+  dispatch<FindDoubtful>(std::as_const(triangles_), first, vertices_.data(), doubtful_);
+  finish_flips();
+}
+
+void Triangulator::finish_flips() {
+  while (!doubtful_.empty()) {
+    const std::uint32_t e = doubtful_.back();
+    doubtful_.pop_back();
+    flip(e);
   }
 }
 
 /// Flip an edge if it is not Delaunay; the four edges around it become doubtful.
-inline bool Triangulator::flip(std::uint32_t e) {
-  const std::uint32_t f = edges_[e].across;
-  if (f >= kOpenChain) return false;
+inline void Triangulator::flip(std::uint32_t e) {
+  const std::uint32_t f = across(e);
+  if (f >= kOpen) return;
   const std::uint32_t ep = previous(e), fp = previous(f);
-  const std::uint32_t a = edges_[e].corner, b = edges_[f].corner;
-  const std::uint32_t c = edges_[ep].corner, d = edges_[fp].corner;
-  if (!is_within(vertices_[a], vertices_[b], vertices_[c], vertices_[d])) return false;
+  const std::uint32_t a = corner(e), b = corner(f);
+  const std::uint32_t c = corner(ep), d = corner(fp);
+  if (!is_within(vertices_[a], vertices_[b], vertices_[c], vertices_[d])) return;
   // a b c and b a d become d b c and c a d.
-  edges_[e].corner = d;
-  edges_[f].corner = c;
-  link(e, edges_[fp].across);
-  link(f, edges_[ep].across);
+  corner(e) = d;
+  corner(f) = c;
+  link(e, across(fp));
+  link(f, across(ep));
   link(ep, fp);
   for (const auto outer : {e, next(e), f, next(f)}) doubtful_.push_back(outer);
-  return true;
 }
 
-Triangulation Triangulator::triangulation(std::size_t returns) const {
-  Triangulation result;
-  std::vector<std::uint32_t> renamed(edge_count_ / 4, kNone);
-  result.corners.reserve(renamed.size());
+/// Name vertices by the rows of their returns, and leave out guards and copies beyond the seam.
+Triangulation Triangulator::take(std::size_t returns) {
+  std::vector<std::uint32_t> renamed(triangles_.size(), kNone);
+  std::uint32_t kept = 0;
   for (std::uint32_t t = 0; t < renamed.size(); ++t) {
-    const Vertex &a = vertices_[edges_[4 * t].corner], &b = vertices_[edges_[4 * t + 1].corner],
-                 &c = vertices_[edges_[4 * t + 2].corner];
+    const auto& corners = triangles_[t].corners;
+    const Vertex &a = vertices_[corners[0]], &b = vertices_[corners[1]], &c = vertices_[corners[2]];
     // A triangle near the seam has copies. The one whose leftmost corner is no copy is kept.
     const std::int32_t left = std::min(a.x, std::min(b.x, c.x));
     const bool is_copy = left < -kTurn / 2 || left >= kTurn / 2;
     if (is_copy || std::max(a.number, std::max(b.number, c.number)) >= returns) continue;
-    renamed[t] = static_cast<std::uint32_t>(result.corners.size());
-    result.corners.push_back({a.number, b.number, c.number});
+    triangles_[kept] = {{a.number, b.number, c.number}, triangles_[t].across};
+    renamed[t] = kept++;
   }
+  triangles_.resize(kept);
   // At the seam the neighbour that is kept is another copy, found by the rows of the edge.
   std::vector<std::array<std::uint32_t, 4>> seam;  // rows of the edge, triangle, edge
-  result.across.resize(result.corners.size());
-  for (std::uint32_t t = 0; t < renamed.size(); ++t) {
-    const std::uint32_t kept = renamed[t];
-    if (kept == kNone) continue;
+  for (std::uint32_t t = 0; t < kept; ++t) {
+    auto& [corners, across] = triangles_[t];
     for (std::uint32_t i = 0; i < 3; ++i) {
-      const std::uint32_t f = edges_[4 * t + i].across;
-      const std::uint32_t beyond = f < kOpenChain ? renamed[f / 4] : kNone;
-      result.across[kept][i] = beyond;
-      if (beyond != kNone) continue;
-      const auto& corners = result.corners[kept];
+      across[i] = across[i] < kOpen ? renamed[across[i] / 8] : kNone;
+      if (across[i] != kNone) continue;
       const auto [a, b] = std::minmax(corners[i], corners[(i + 1) % 3]);
-      seam.push_back({a, b, kept, i});
+      seam.push_back({a, b, t, i});
     }
   }
   std::sort(seam.begin(), seam.end());
   for (std::size_t k = 0; k + 1 < seam.size(); ++k) {
     const auto &a = seam[k], &b = seam[k + 1];
     if (a[0] != b[0] || a[1] != b[1]) continue;
-    result.across[a[2]][a[3]] = b[2];
-    result.across[b[2]][b[3]] = a[2];
+    triangles_[a[2]].across[a[3]] = b[2];
+    triangles_[b[2]].across[b[3]] = a[2];
   }
-  return result;
+  return std::move(triangles_);
 }
 
 }  // namespace
@@ -351,7 +388,7 @@ Triangulation Triangulator::triangulation(std::size_t returns) const {
 Triangulation triangulate(const std::vector<Direction>& directions,
                           const std::vector<std::uint32_t>& numbers) {
   if (numbers.size() < 3) return {};
-  return Triangulator(directions, numbers).triangulation(directions.size());
+  return Triangulator(make_chains(directions, numbers)).take(directions.size());
 }
 
 }  // namespace docdepth

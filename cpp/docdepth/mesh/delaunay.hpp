@@ -11,14 +11,16 @@ namespace docdepth {
 
 constexpr std::uint32_t kNone = 0xffffffff;  ///< no triangle
 
-/// Triangles that cover the field of view.
-struct Triangulation {
+/// Half a cache line, so that none lies across two.
+struct alignas(32) Triangle {
   /// Rows of returns, counterclockwise where azimuth is drawn to the right and elevation up.
-  std::vector<std::array<std::uint32_t, 3>> corners;
-  /// across[t][i] is the triangle beyond the edge from corner i to the next; kNone if there is
-  /// none.
-  std::vector<std::array<std::uint32_t, 3>> across;
+  alignas(16) std::array<std::uint32_t, 3> corners;
+  /// across[i] is the triangle beyond the edge from corner i to the next; kNone if there is none.
+  alignas(16) std::array<std::uint32_t, 3> across;
 };
+
+/// Triangles that cover the field of view.
+using Triangulation = std::vector<Triangle>;
 
 /// Delaunay triangulation on the cylinder of azimuth and elevation, closed at +-180 degrees.
 ///

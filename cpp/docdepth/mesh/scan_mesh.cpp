@@ -89,14 +89,13 @@ struct Shape {
 };
 
 struct FindShapes {
-  DOCDEPTH_KERNEL static void run(std::size_t count, const std::array<std::uint32_t, 3>* triangles,
-                                  const Ray* rays, const MeshParameters& parameters,
-                                  Shape* shapes) {
+  DOCDEPTH_KERNEL static void run(std::size_t count, const Triangle* triangles, const Ray* rays,
+                                  const MeshParameters& parameters, Shape* shapes) {
     for (std::size_t first = 0; first < count; first += kLanes) {
       const std::size_t some = std::min(count - first, std::size_t{kLanes});
       Corners a, b, c;
       for (std::size_t lane = 0; lane < some; ++lane) {
-        const auto& [i, j, k] = triangles[first + lane];
+        const auto& [i, j, k] = triangles[first + lane].corners;
         a.set(lane, rays[i]);
         b.set(lane, rays[j]);
         c.set(lane, rays[k]);
@@ -160,9 +159,9 @@ class Folds {
 
   /// Test triangle t against the neighbour beyond its side i.
   void add(std::uint32_t t, std::uint32_t i) {
-    const std::uint32_t neighbour = triangulation_.across[t][i];
+    const std::uint32_t neighbour = triangulation_[t].across[i];
     if (neighbour == kNone) return;
-    const auto &corners = triangulation_.corners[t], &other = triangulation_.corners[neighbour];
+    const auto &corners = triangulation_[t].corners, &other = triangulation_[neighbour].corners;
     const std::uint32_t a = corners[i], b = corners[(i + 1) % 3], c = corners[(i + 2) % 3];
     folds_.push_back({a, b, c, other[0] ^ other[1] ^ other[2] ^ a ^ b});
     triangles_.push_back(t);
@@ -191,7 +190,7 @@ class Folds {
 std::vector<std::uint8_t> find_discontinuities(const Points& points,
                                                const Triangulation& triangulation,
                                                const std::vector<Shape>& shapes, float flatness) {
-  const auto count = static_cast<std::uint32_t>(triangulation.corners.size());
+  const auto count = static_cast<std::uint32_t>(triangulation.size());
   std::vector<std::uint8_t> jump(count);
   Folds folds(triangulation);
   for (std::uint32_t t = 0; t < count; ++t) {
@@ -201,7 +200,7 @@ std::vector<std::uint8_t> find_discontinuities(const Points& points,
   folds.clear_flat(points, flatness, jump);
   for (std::uint32_t t = 0; t < count; ++t)
     for (std::uint32_t i = 0; jump[t] && i < 3; ++i)
-      if (triangulation.across[t][i] != kNone && !jump[triangulation.across[t][i]]) folds.add(t, i);
+      if (triangulation[t].across[i] != kNone && !jump[triangulation[t].across[i]]) folds.add(t, i);
   folds.clear_flat(points, flatness, jump);
   return jump;
 }
@@ -216,25 +215,24 @@ ScanMesh build_scan_mesh(const Points& points, const MeshParameters& parameters)
   usable.reserve(rays.size());
   for (std::uint32_t i = 0; i < rays.size(); ++i)
     if (rays[i].range > 0.0f) usable.push_back(i);
-  Triangulation triangulation = triangulate(directions_of(points), usable);
-  std::vector<Shape> shapes(triangulation.corners.size());
-  dispatch<FindShapes>(shapes.size(), triangulation.corners.data(), rays.data(), parameters,
-                       shapes.data());
+  const Triangulation triangulation = triangulate(directions_of(points), usable);
+  std::vector<Shape> shapes(triangulation.size());
+  dispatch<FindShapes>(shapes.size(), triangulation.data(), rays.data(), parameters, shapes.data());
   ScanMesh mesh;
   mesh.points = rays.size();
   mesh.discontinuity = find_discontinuities(points, triangulation, shapes, parameters.flatness);
-  mesh.triangles = std::move(triangulation.corners);
+  mesh.triangles.reserve(shapes.size());
   std::vector<std::uint8_t> used(rays.size(), 0);
-  std::size_t kept = 0;  // wide triangles are left out, in place
+  std::size_t kept = 0;
   for (std::size_t t = 0; t < shapes.size(); ++t) {
     if (shapes[t].is_wide) continue;
-    const auto corners = mesh.triangles[kept] = mesh.triangles[t];
-    const std::uint8_t jump = mesh.discontinuity[kept] = mesh.discontinuity[t];
-    ++kept;
+    const auto& corners = triangulation[t].corners;
+    mesh.triangles.push_back(corners);
+    const std::uint8_t jump = mesh.discontinuity[t];
+    mesh.discontinuity[kept++] = jump;  // wide triangles are left out, in place
     if (!jump)
       for (const auto corner : corners) used[corner] = 1;
   }
-  mesh.triangles.resize(kept);
   mesh.discontinuity.resize(kept);
   for (const auto i : usable)
     if (!used[i]) mesh.isolated.push_back(i);

@@ -1,7 +1,9 @@
 #include "docdepth/mesh/scan_rings.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cstdlib>
+#include <iterator>
 #include <numeric>
 
 namespace docdepth {
@@ -12,10 +14,13 @@ using Numbers = std::vector<std::uint32_t>;
 /// Fewer rings need no grid, and fewer returns to a ring show none.
 constexpr std::size_t kFewestRings = 4, kFewestReturns = 100;
 
-/// A step along a ring [units]: forward by at most ten degrees, back by at most two (lasers of a
-/// ring may be staggered), elevation changed by at most 0.3 degrees. So many of the steps do.
-constexpr std::int32_t kForward = kTurn / 36, kBack = kTurn / 180, kLevel = kTurn / 1200;
+/// A step along a ring [units]: at most ten degrees on or, from a near thing to a far one that the
+/// vehicle saw from elsewhere, back; elevation changes by at most 0.3 degrees. So many of the steps
+/// do.
+constexpr std::int32_t kStep = kTurn / 36, kLevel = kTurn / 1200;
 constexpr double kAlongRings = 0.8;
+/// Rings begin within one of these sectors of azimuth.
+constexpr std::int32_t kSectors = 64, kSector = kTurn / kSectors;
 
 /// Between two rings elevations are at least so many times as rare as on them. So many of the
 /// returns lie within a quarter of the way to the next ring.
@@ -24,7 +29,7 @@ constexpr double kOnRings = 0.8;
 /// A ring begins with this share of the returns, and holds that of the next ring at its peak: less
 /// is what echoes near the sensor leave between two rings.
 constexpr double kFaintest = 0.001;
-constexpr std::uint32_t kFainter = 8;
+constexpr std::uint32_t kFainter = 4;
 /// Elevations are counted over so many units on both sides.
 constexpr std::int32_t kReach = 2;
 
@@ -37,23 +42,45 @@ std::int32_t turned(const Direction& from, const Direction& to) {
 /// Ring of each of the numbers, if rows come ring by ring; else nothing.
 Numbers rings_by_turns(const std::vector<Direction>& directions, const Numbers& numbers) {
   std::size_t level = 0, ups = 0, downs = 0;
+  std::array<std::int32_t, kSectors> climbs = {};  // change of elevation in each sector
   for (std::size_t k = 1; k < numbers.size(); ++k) {
     const Direction &from = directions[numbers[k - 1]], &to = directions[numbers[k]];
-    const std::int32_t step = turned(from, to);
-    level += std::abs(to.elevation - from.elevation) <= kLevel;
-    ups += step >= 0 && step <= kForward;
-    downs += step <= 0 && step >= -kForward;
+    const std::int32_t step = turned(from, to), climb = to.elevation - from.elevation;
+    level += std::abs(climb) <= kLevel;
+    ups += step >= 0 && step <= kStep;
+    downs += step <= 0 && step >= -kStep;
+    climbs[(to.azimuth + kTurn / 2) / kSector] += climb;
   }
   const double steps = kAlongRings * static_cast<double>(numbers.size() - 1);
   if (static_cast<double>(std::min(level, std::max(ups, downs))) < steps) return {};
+  // All rings begin in one sector: there elevation changes from that of the first to the last.
+  const auto most = std::max_element(climbs.begin(), climbs.end(),
+                                     [](auto a, auto b) { return std::abs(a) < std::abs(b); });
+  const auto seam = static_cast<std::int32_t>(most - climbs.begin()) * kSector + kSector / 2;
   const std::int32_t sign = ups > downs ? 1 : -1;
+  std::int32_t way = sign * (directions[numbers[0]].azimuth + kTurn / 2 - seam);
+  if (way < -kSector) way += kTurn;
+  if (way >= kTurn - kSector) way -= kTurn;
   Numbers rings(numbers.size());
-  std::int64_t way = 0;
+  std::uint32_t ring = 0;
+  std::int32_t jump = -1;  // the largest change of elevation about the seam,
+  std::size_t begin = 0;   // after which a ring begins
   for (std::size_t k = 1; k < numbers.size(); ++k) {
-    std::int32_t step = sign * turned(directions[numbers[k - 1]], directions[numbers[k]]);
-    if (step < -kBack) step += kTurn;  // the next ring of a field of view of less than a turn
+    const Direction &from = directions[numbers[k - 1]], &to = directions[numbers[k]];
+    std::int32_t step = sign * turned(from, to);
+    if (step < -kStep) step += kTurn;  // the next ring of a field of view of less than a turn
     way += step;
-    rings[k] = static_cast<std::uint32_t>(std::max<std::int64_t>(way, 0) / kTurn);
+    rings[k] = ring;
+    if (way < kTurn - kSector) continue;
+    if (std::abs(to.elevation - from.elevation) > jump) {
+      jump = std::abs(to.elevation - from.elevation);
+      begin = k;
+    }
+    if (way < kTurn + kSector) continue;
+    ++ring;
+    std::fill(rings.begin() + begin, rings.begin() + k + 1, ring);
+    way -= kTurn;
+    jump = -1;
   }
   return rings;
 }
@@ -157,6 +184,26 @@ Numbers sorted_by(const Numbers& items, std::size_t keys, const Key& key) {
   return sorted;
 }
 
+/// Append a ring by azimuth. It is in order but for its beginning, its direction and few returns.
+void append_ring(const std::vector<Direction>& directions, const std::uint32_t* first,
+                 const std::uint32_t* end, Numbers& returns) {
+  const auto begin = static_cast<std::ptrdiff_t>(returns.size());
+  const std::size_t count = end - first;
+  if (count > 1 && turned(directions[first[0]], directions[first[count / 4]]) < 0)
+    returns.insert(returns.end(), std::reverse_iterator(end), std::reverse_iterator(first));
+  else
+    returns.insert(returns.end(), first, end);
+  const auto left_of = [&](std::uint32_t a, std::uint32_t b) {
+    return directions[a].azimuth < directions[b].azimuth;
+  };
+  const auto ring = returns.begin() + begin;
+  const auto seam = std::adjacent_find(ring, returns.end(), [&](std::uint32_t a, std::uint32_t b) {
+    return directions[b].azimuth < directions[a].azimuth - kTurn / 2;
+  });
+  if (seam != returns.end()) std::rotate(ring, seam + 1, returns.end());
+  if (!std::is_sorted(ring, returns.end(), left_of)) std::stable_sort(ring, returns.end(), left_of);
+}
+
 }  // namespace
 
 ScanRings find_rings(const std::vector<Direction>& directions, const Numbers& numbers) {
@@ -185,18 +232,26 @@ ScanRings find_rings(const std::vector<Direction>& directions, const Numbers& nu
     return elevation[a] * size[b] < elevation[b] * size[a];
   });
   for (std::uint32_t k = 0; k < order.size(); ++k) rank[order[k]] = k;
+  ScanRings found;
+  found.begin.assign(1, 0);
+  for (const auto r : order)
+    found.begin.push_back(found.begin.back() + static_cast<std::uint32_t>(size[r]));
+  if (std::is_sorted(rings.begin(), rings.end())) {
+    found.returns.reserve(numbers.size());
+    std::vector<std::size_t> first(count + 1, 0);
+    for (std::size_t r = 0; r < count; ++r) first[r + 1] = first[r] + size[r];
+    for (const auto r : order)
+      append_ring(directions, &numbers[0] + first[r], &numbers[0] + first[r + 1], found.returns);
+    return found;
+  }
 
   Numbers items(numbers.size());
   std::iota(items.begin(), items.end(), 0);
   items = sorted_by(items, kTurn, [&](std::uint32_t k) {
     return static_cast<std::size_t>(directions[numbers[k]].azimuth + kTurn / 2);
   });
-  ScanRings found;
   found.returns = sorted_by(items, order.size(), [&](std::uint32_t k) { return rank[rings[k]]; });
   for (auto& item : found.returns) item = numbers[item];
-  found.begin.assign(1, 0);
-  for (const auto r : order)
-    found.begin.push_back(found.begin.back() + static_cast<std::uint32_t>(size[r]));
   return found;
 }
 
