@@ -10,10 +10,13 @@ import pytest
 import docdepth
 from command_line import cli
 from docdepth.datasets import open_dataset
+from docdepth.diagnostics.calibration import RunEdges
 from docdepth.diagnostics.camera_fit import CameraFit
+from docdepth.diagnostics.depth_edges import edges_of_map
 from docdepth.diagnostics.edge_fit import EdgeFit
 from docdepth.errors import NOTE
 from docdepth.geometry.se3 import rotation_exp
+from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import camera_fit
 from docdepth.pipeline.plan import states
@@ -69,3 +72,22 @@ def test_or_as_it_was_given(drive, tmp_path: Path, asked, mode: str, gain: float
     np.testing.assert_array_equal(run.calibration()[1], given.T_camera_lidar)
     stored = run.cameras[name].fit
     assert (stored is not None and bool(stored.verdict)) == (mode == "report")
+
+
+def test_the_maps_that_were_drawn_are_looked_at(drive, tmp_path: Path, monkeypatch) -> None:
+    """All that have images and lie apart, and with the edges of these maps."""
+    seen: list[RunEdges] = []
+    monkeypatch.setattr(camera_fit, "LEAST_PATH", 1.0)
+    monkeypatch.setattr(camera_fit, "FEWEST_IMAGES", 2)
+    monkeypatch.setattr(camera_fit, "fit_camera", seen.append)
+    docdepth.run(drive, tmp_path / "run", poses="dataset")
+    (found,) = seen
+    assert 2 <= len(found.names) <= 5
+    for name, edges in zip(found.names, found.edges, strict=True):
+        drawn = edges_of_map(read_depth(tmp_path / "run" / "depth" / f"{name}.png"))
+        assert len(edges)
+        assert {tuple(pixel) for pixel in edges.pixels} <= {tuple(pixel) for pixel in drawn.pixels}
+    # Most drives are shorter than what is asked for: nothing is looked at.
+    monkeypatch.setattr(camera_fit, "LEAST_PATH", 1000.0)
+    docdepth.run(drive, tmp_path / "short", poses="dataset")
+    assert len(seen) == 1
