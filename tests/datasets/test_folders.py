@@ -13,6 +13,7 @@ from made_up import DRIVE
 from writers import WRITERS, folder_rows, settings, write_beside, write_pcd
 
 from docdepth.datasets import open_dataset
+from docdepth.datasets.cloud_files import RowFormat, read_cloud
 from docdepth.datasets.formats.cloud_folder import cloud_files
 from docdepth.datasets.times import time_of_name, times_of_files
 from docdepth.errors import DatasetError, DocDepthError
@@ -31,6 +32,51 @@ def folder(tmp_path: Path) -> Path:
 
 def change(folder: Path, **entries) -> None:
     (folder / "docdepth.yaml").write_text(yaml.safe_dump(settings() | entries))
+
+
+# ---- what a file holds, whatever its name
+
+
+def xyz(points: np.ndarray) -> np.ndarray:
+    """Rows with named fields of points (n, 3)."""
+    return rfn.unstructured_to_structured(points, names=list("xyz"))
+
+
+@pytest.mark.parametrize("name", ["sweep.bin", "sweep.ply", "sweep.las"])
+def test_a_file_is_read_by_what_it_begins_with(tmp_path: Path, name: str) -> None:
+    points, file = np.random.default_rng(0).normal(0, 10, (9, 3)).astype("f4"), tmp_path / name
+    for write in (lambda rows: write_vertices(file, rows, []), lambda rows: write_pcd(file, rows)):
+        write(xyz(points))
+        np.testing.assert_array_equal(read_cloud(file, "a", RowFormat()).points, points)
+    with file.open("wb") as stream:
+        np.save(stream, xyz(points))
+    np.testing.assert_array_equal(read_cloud(file, "a", RowFormat()).points, points)
+
+
+def test_coordinates_that_float32_rounds_are_refused(tmp_path: Path) -> None:
+    points, file = np.random.default_rng(0).normal(0, 10, (999, 3)), tmp_path / "a.ply"
+    points[::3] = np.nan
+    points[1] = 1e30  # a row that is no return
+    write_vertices(file, xyz(points.astype("f4")), [])
+    read_cloud(file, "frame 3", RowFormat())
+    points += [4e5, 5.8e6, 0]
+    write_vertices(file, xyz(points), [])
+    read_cloud(file, "frame 3", RowFormat())
+    write_vertices(file, xyz(points.astype("f4")), [])
+    with pytest.raises(DatasetError, match=r"frame 3.* rounded to 0.5 m"):
+        read_cloud(file, "frame 3", RowFormat())
+
+
+def test_one_sweep_with_other_columns_is_refused(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    points = rng.normal(0, 1, (5000, 3)) * [20, 20, 1] - [0, 0, 1]
+    rows = np.column_stack([points, rng.random(5000), np.arange(5000) % 32]).astype("f4")
+    file, told = tmp_path / "a.bin", RowFormat(("x", "y", "z", "intensity", "ring"))
+    rows.tofile(file)
+    np.testing.assert_array_equal(read_cloud(file, "a", told).ring, np.arange(5000) % 32)
+    rows[:, :4].tofile(file)
+    with pytest.raises(DatasetError, match=r"looks like 4 float32 a point \(KITTI\)"):
+        read_cloud(file, "a", told)
 
 
 # ---- PCD

@@ -37,6 +37,7 @@ WRONG: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
     "zero ring": ("5 float32 a point (nuScenes)", lambda rows: _with(rows, 0)),
     "ring and time": ("6 float32", lambda rows: _with(rows, RING, 0.1)),
     "no reflectance": ("3 float32", lambda rows: rows[:, :3].astype("<f4")),
+    "big-endian": ("float32 of the other byte order", lambda rows: rows.astype(">f4")),
     "doubles": ("4 float64", lambda rows: rows.astype("<f8") * (1 + 1e-9)),
     "doubles of floats": ("4 float64", lambda rows: rows.astype("<f8")),
     "doubles, no reflectance": ("3 float64", lambda rows: rows[:, :3].astype("<f8")),

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from docdepth.errors import OdometryError
 from docdepth.geometry.se3 import poses_from, rotation_exp
@@ -64,6 +65,21 @@ def test_broken_ply_and_npy(tmp_path: Path) -> None:
     ):
         with pytest.raises(OdometryError, match=match):
             read_poses(tmp_path / name, 2)
+
+
+@pytest.mark.parametrize(
+    "heading",
+    ["#stamp [ns],p_x [m],p_y [m],p_z [m],q_w [],q_x [],q_y [],q_z []", "# t x y z qw qx qy qz"],
+)
+def test_a_heading_names_the_order_of_quaternions(tmp_path: Path, heading: str) -> None:
+    """As EuRoC's files and those of its followers have it, times in nanoseconds, too."""
+    turn = Rotation.from_euler("z", 30, degrees=True)
+    x, y, z, w = turn.as_quat().tolist()
+    rows = [f"{1520530308199447626 + k},1,2,{k},{w},{x},{y},{z}" for k in range(3)]
+    (tmp_path / "a.csv").write_text("\n".join([heading, *rows]) + "\n")
+    found = read_tum(tmp_path / "a.csv")
+    np.testing.assert_allclose(found.poses[2, :3, :3], turn.as_matrix(), atol=1e-12)
+    assert found.times.tolist() == [1520530308199447626 + k for k in range(3)]
 
 
 def test_tum_quaternions_are_x_y_z_w(tmp_path: Path) -> None:

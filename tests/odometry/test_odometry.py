@@ -6,6 +6,7 @@ import os
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from docdepth.errors import InputError, OdometryError
 from docdepth.geometry.se3 import inverse, se3_exp, se3_log
 from docdepth.io.poses import read_poses
 from docdepth.io.run_folder import RunFolder
+from docdepth.odometry import first_motion
 from docdepth.odometry.deskewing import centred_motion, deskew
 from docdepth.odometry.odometry import estimate_poses, register_drive
 from docdepth.odometry.pose_checks import find_misfit
@@ -319,6 +321,16 @@ def test_sweeps_without_points_in_range_are_told_once() -> None:
     (found,) = register_drive(Drive(6), nowhere).findings
     assert found.code == "predicted-poses"
     assert found.remedy, "all of them"
+
+
+def test_a_first_sweep_without_points_hides_no_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(first_motion, "_DIRECTIONS", [0.0])
+    drive = Drive(8)
+    sweep = drive.sweep(0)
+    drive._sweeps[0] = replace(sweep, points=np.zeros_like(sweep.points))
+    found = register_drive(drive)
+    assert pose_errors(found.trajectory.poses, drive.exact).max() < 0.05
+    assert [finding.code for finding in found.findings] == ["predicted-poses"]
 
 
 # ---- the real drive

@@ -32,9 +32,11 @@ _DISTINCT = 0.25  # of columns in rows of the right length; recorded sweeps have
 _PLAUSIBLE = (1e-7, 1e5)  # magnitude of a number that is a coordinate or a reflectance
 _DOUBLES = 0.99  # share of plausible numbers in a file of float64, read as such
 _NO_FLOATS = 0.9  # and read as float32: the low halves of doubles are random bits
+_MOST_ROUNDED = 0.05  # metres between neighbouring numbers; depth and labels need centimetres
 
 _NAMES = {
     3: "3 float32 a point (x y z)",
+    4: "4 float32 a point (KITTI)",
     5: "5 float32 a point (nuScenes)",
     6: "6 float32 a point",
     7: "7 float32 a point",
@@ -138,6 +140,7 @@ def cloud_from_fields(rows: NDArray[Any], where: str) -> Cloud:
         )
     doubles = any(column.dtype.itemsize > 4 for column in xyz)
     points = np.stack([np.asarray(c, np.float64 if doubles else np.float32) for c in xyz], axis=-1)
+    _check_rounding(points, where)
     # Drivers find ever new names; values that are no times of a sweep are refused later.
     alike = [name for name in names if "time" in name or "stamp" in name]
     intensity = _first(rows, names, INTENSITY_NAMES)
@@ -148,6 +151,21 @@ def cloud_from_fields(rows: NDArray[Any], where: str) -> Cloud:
         None if ring is None else _rings(ring),
         _first(rows, names, (*TIME_NAMES, *alike)),
     )
+
+
+def _check_rounding(points: NDArray[Any], where: str) -> None:
+    """Refuse coordinates of a map that were rounded when they were written as float32."""
+    if points.dtype != np.float32:
+        return
+    # Of most points: returns that are none may hold any number.
+    some = points[:: max(1, len(points) // _FEWEST_POINTS)]
+    some = some[np.isfinite(some).all(axis=1)]
+    rounded = float(np.spacing(np.median(np.abs(some), axis=0)).max()) if len(some) else 0.0
+    if rounded > _MOST_ROUNDED:
+        raise DatasetError(
+            f"{where}: coordinates are rounded to {rounded:g} m: float32 has no more digits so far "
+            "from the origin; write them as float64, or from an origin near the drive"
+        )
 
 
 def _first(rows: NDArray[Any], names: dict[str, str], wanted: Sequence[str]) -> NDArray[Any] | None:
@@ -162,8 +180,8 @@ def _rings(values: NDArray[Any]) -> NDArray[np.uint16]:
     return np.clip(whole, 0, 0xFFFF).astype(np.uint16)
 
 
-def foreign_format(content: bytes) -> str | None:
-    """The format of the content of a sweep file that is not ``x y z reflectance`` as 4 float32.
+def foreign_format(content: bytes, columns: int = 4) -> str | None:
+    """The format of the content of a sweep file that is not so many float32 a point.
 
     For example ``5 float32 a point (nuScenes)``; None for the right format, and where no other
     format clearly fits better.
@@ -172,14 +190,17 @@ def foreign_format(content: bytes) -> str | None:
     if len(floats) < 4 * _FEWEST_POINTS:
         return None
     doubles = np.frombuffer(content, "<f8", len(content) // 8)
-    if len(content) % 8 == 0 and _plausible(doubles) > _DOUBLES and _plausible(floats) < _NO_FLOATS:
-        for columns, names in ((4, "x y z reflectance"), (3, "x y z")):
-            if len(doubles) % columns == 0 and _distinction(doubles, columns) > _DISTINCT:
-                return f"{columns} float64 a point ({names})"
-        return "float64"
-    if not np.isfinite(floats).all() or _distinction(floats, 4) > _ALIKE:
+    if _plausible(floats) < _NO_FLOATS:
+        if _plausible(floats.byteswap()) > _DOUBLES:
+            return "float32 of the other byte order (big-endian)"
+        if len(content) % 8 == 0 and _plausible(doubles) > _DOUBLES:
+            for values, names in ((4, "x y z reflectance"), (3, "x y z")):
+                if len(doubles) % values == 0 and _distinction(doubles, values) > _DISTINCT:
+                    return f"{values} float64 a point ({names})"
+            return "float64"
+    if not np.isfinite(floats).all() or _distinction(floats, columns) > _ALIKE:
         return None
-    fits = {c: _distinction(floats, c) for c in _NAMES if len(floats) % c == 0}
+    fits = {c: _distinction(floats, c) for c in _NAMES if c != columns and len(floats) % c == 0}
     if fits.get(6, 0) > _DISTINCT:
         fits.pop(3, None)  # rows of six are distinct in threes, but not the other way round
     best = max(fits, key=lambda columns: fits[columns], default=0)

@@ -50,12 +50,20 @@ def read_cloud(file: Path, where: str, rows: RowFormat) -> Cloud:
     """
     try:
         with _of_pcd(file, where):
-            return READERS[file.suffix.lower()](file, where, rows)
+            return READERS[_kind(file)](file, where, rows)
     except DamagedFileError as error:
         found = f"is damaged ({error.what})" if error.what else "is missing"
         raise DatasetError(f"{where} {found}; copy the sweep again") from None
     except RunError as error:
         raise DatasetError(f"{where}: {error}") from None
+
+
+def _kind(file: Path) -> str:
+    """The suffix that goes with how a file begins, else its own: people rename files."""
+    with file.open("rb") as stream:
+        start = stream.read(8)
+    fitting = (kind for begin, kind in _BEGINNINGS.items() if start.startswith(begin))
+    return next(fitting, file.suffix.lower())
 
 
 def read_viewpoint(file: Path, frame: int) -> NDArray[np.float64]:
@@ -99,12 +107,12 @@ def _read_bin(file: Path, where: str, rows: RowFormat) -> Cloud:
             f"({' '.join(rows.columns)} as {rows.dtype}); copy it again, or say columns and dtype "
             "in docdepth.yaml"
         )
-    kitti = RowFormat()
-    other = foreign_format(content) if rows == kitti else None
+    count = len(rows.columns)
+    other = foreign_format(content, count) if np.dtype(rows.dtype) == np.float32 else None
     if other:
         raise DatasetError(
-            f"{where} looks like {other}, not like {' '.join(kitti.columns)} as 4 float32; say "
-            "columns in docdepth.yaml"
+            f"{where} looks like {other}, not like {' '.join(rows.columns)} as {count} float32; "
+            "say columns in docdepth.yaml"
         )
     table = np.frombuffer(content, np.dtype(rows.dtype).newbyteorder("<"))
     return cloud_from_fields(_named(table.reshape(-1, len(rows.columns)), rows, where), where)
@@ -156,6 +164,11 @@ READERS: dict[str, Callable[[Path, str, RowFormat], Cloud]] = {
     ".laz": _read_las,
 }
 """A reader for each suffix in small letters."""
+
+_BEGINNINGS = {
+    **{b"# .PCD": ".pcd", b"VERSION ": ".pcd", b"ply\n": ".ply", b"ply\r": ".ply"},
+    **{b"\x93NUMPY": ".npy", b"LASF": ".las"},
+}
 
 
 def stamped_lidar(

@@ -32,6 +32,9 @@ SUFFIXES = (".label", ".npy", ".pcd")
 
 _Classes = NDArray[np.uint16]
 
+_ONE_AS_FLOAT = 0x3F800000  # bits of 1.0; as a label, instance 16256 of class 0
+_OF_FLOATS = 0x7FFF  # bits that are 0 in all whole float32 up to 511
+
 
 def label_file(folder: Path, name: str, frame: int) -> Path:
     """The file of a sweep, ``NAME.label``, ``NAME.npy`` or ``NAME.pcd``.
@@ -121,6 +124,9 @@ def read_labels(file: Path, points: int, frame: int) -> NDArray[np.uint32]:
         )
     labels: NDArray[np.uint32] = np.frombuffer(content, "<u4")
     _check_count(len(labels), file, points, frame)
+    told = labels[labels > 0]
+    if len(told) and told.min() >= _ONE_AS_FLOAT and not (told & _OF_FLOATS).any():
+        raise DatasetError(f"{file} (frame {frame}) holds float32 numbers; write labels as uint32")
     return labels
 
 

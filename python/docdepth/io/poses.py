@@ -8,6 +8,7 @@ pose files of KITTI itself, which are of the camera.
 from __future__ import annotations
 
 import logging
+import re
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
@@ -29,6 +30,9 @@ from docdepth.io.npy import ArrayError, read_array
 log = logging.getLogger(__name__)
 
 _LATE = 0.75  # of the time between sweeps; poses may be of the middle or the end of a sweep
+_OF_NANOSECONDS = (
+    17  # digits of a time that counts nanoseconds since 1970 and not seconds, less one
+)
 _MOST_DIGITS = 12  # of seconds, before the point; int64 holds 292 years of nanoseconds
 
 POSE_FORMATS = ("tum", "kitti", "ply", "npy")
@@ -223,10 +227,21 @@ def write_kitti(path: Path | str, poses: NDArray[np.float64]) -> None:
 
 def _nanoseconds(line: str) -> int:
     """The time of a TUM line, which never passes through a float."""
-    seconds = Decimal(line.split()[0])
-    if not seconds.is_finite() or seconds.adjusted() > _MOST_DIGITS:
+    time = Decimal(line.split()[0])
+    if time.is_finite() and time.adjusted() >= _OF_NANOSECONDS:
+        time = time.scaleb(-9)  # as EuRoC and its followers count
+    if not time.is_finite() or time.adjusted() > _MOST_DIGITS:
         raise OverflowError
-    return int((seconds * 10**9).to_integral_value())
+    return int((time * 10**9).to_integral_value())
+
+
+def _begins_with_w(path: Path) -> bool:
+    """Whether a heading names the quaternion w x y z, as EuRoC's files do, not x y z w."""
+    for line in path.read_text(encoding="utf-8-sig").splitlines():
+        names = re.sub(r"\[[^]]*\]", "", line.lstrip("# ")).replace(",", " ").split()
+        if line.lstrip().startswith("#") and len(names) == 8:
+            return [name[-1].lower() for name in names[4:]] == list("wxyz")
+    return False
 
 
 def _lines(path: Path) -> list[str]:
@@ -258,6 +273,8 @@ def _read(path: Path, columns: int | None = None) -> NDArray[np.float64]:
                 f"{path}, pose {k}: '{line.strip()[:60]}' is not {columns} numbers; "
                 "each line is one pose, and a heading begins with #"
             ) from None
+    if columns == 8 and _begins_with_w(path):
+        rows[:, 4:] = np.roll(rows[:, 4:], -1, axis=1)
     return rows
 
 

@@ -47,6 +47,7 @@ from docdepth.odometry.pose_checks import (
 )
 from docdepth.odometry.pose_graph import check_solver
 from docdepth.odometry.refinement import refine_poor
+from docdepth.odometry.registration import FEWEST_POINTS
 from docdepth.odometry.registration_log import Found, RegistrationLog
 from docdepth.odometry.smoothing import LAG, smoothed
 from docdepth.odometry.sweeps import FINE_SAMPLING, DeskewedSweeps, SweepPart, ThinnedSweeps
@@ -260,7 +261,10 @@ def _first_motion(sweeps: SweepPart, kept: RegistrationLog) -> NDArray[np.float6
     """The first motion, which an interrupted estimation may have found."""
     found = kept.found(0)
     if found is None:
-        motion = first_motion(sweeps, range(len(sweeps)))
+        # The first sweeps of a LiDAR that starts up may be empty.
+        count = len(sweeps)
+        begin = next((k for k in range(count) if len(sweeps[k].points) >= FEWEST_POINTS), 0)
+        motion = first_motion(sweeps, range(begin, count))
         known = motion is not None
         found = Found(motion if motion is not None else np.eye(4), np.zeros((6, 6)), known)
         kept.add(found)
