@@ -30,9 +30,8 @@ from docdepth.io.npy import ArrayError, read_array
 log = logging.getLogger(__name__)
 
 _LATE = 0.75  # of the time between sweeps; poses may be of the middle or the end of a sweep
-_OF_NANOSECONDS = (
-    17  # digits of a time that counts nanoseconds since 1970 and not seconds, less one
-)
+# Digits, less one, of a time that counts nanoseconds since 1970, and not seconds.
+_OF_NANOSECONDS = 17
 _MOST_DIGITS = 12  # of seconds, before the point; int64 holds 292 years of nanoseconds
 
 POSE_FORMATS = ("tum", "kitti", "ply", "npy")
