@@ -75,10 +75,9 @@ def test_or_as_it_was_given(drive, tmp_path: Path, asked, mode: str, gain: float
 
 
 def test_the_maps_that_were_drawn_are_looked_at(drive, tmp_path: Path, monkeypatch) -> None:
-    """All that have images and lie apart, and with the edges of these maps."""
+    """The fit gets the edges of the run's own maps, of images from places apart."""
     seen: list[RunEdges] = []
     monkeypatch.setattr(camera_fit, "LEAST_PATH", 1.0)
-    monkeypatch.setattr(camera_fit, "FEWEST_IMAGES", 2)
     monkeypatch.setattr(camera_fit, "fit_camera", seen.append)
     docdepth.run(drive, tmp_path / "run", poses="dataset")
     (found,) = seen

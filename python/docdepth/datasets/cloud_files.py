@@ -166,8 +166,12 @@ READERS: dict[str, Callable[[Path, str, RowFormat], Cloud]] = {
 """A reader for each suffix in small letters."""
 
 _BEGINNINGS = {
-    **{b"# .PCD": ".pcd", b"VERSION ": ".pcd", b"ply\n": ".ply", b"ply\r": ".ply"},
-    **{b"\x93NUMPY": ".npy", b"LASF": ".las"},
+    b"# .PCD": ".pcd",
+    b"VERSION ": ".pcd",
+    b"ply\n": ".ply",
+    b"ply\r": ".ply",
+    b"\x93NUMPY": ".npy",
+    b"LASF": ".las",
 }
 
 

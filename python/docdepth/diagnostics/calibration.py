@@ -198,8 +198,8 @@ class RunEdges:
         samples = [profiles(edges, image, camera) for edges, image in pairs]
         return ImageEdges(camera, self.edges, samples, self.motions)
 
-    def every(self, step: int) -> RunEdges:
-        """Each ``step``-th edge of each image."""
+    def with_each(self, step: int) -> RunEdges:
+        """With each ``step``-th edge of each image."""
         return replace(self, edges=[one.rows(np.arange(0, len(one), step)) for one in self.edges])
 
     @property
@@ -221,7 +221,6 @@ def edges_of_images(
     tracks: Tracks,
     progress: Progress | None = None,
     most: int = IMAGES,
-    fewest: int = 0,
 ) -> RunEdges:
     """Depth edges of some images, evenly along the path.
 
@@ -240,14 +239,13 @@ def edges_of_images(
         Moving objects.
     progress : callable, optional
         Called with ``"camera"``, the images done and their number.
-    most, fewest : int
-        Images that are compared; where there are fewer from places apart, none is.
+    most : int
+        Images that are compared.
     """
     times = stream.times[list(indices)]
     poses = trajectory.interpolate(times)
     apart = Trajectory(times, poses).subsample(APART)
     chosen = [int(apart[k]) for k in spread(len(apart), most)]
-    chosen = chosen if len(chosen) >= fewest else []
     images, edges, motions = [], [], []
     for done, k in enumerate(chosen, 1):
         image = stream.rectified_image(indices[k])

@@ -1,4 +1,4 @@
-"""Whether what images say about a camera is sure enough to be taken."""
+"""Fit a camera to its images, and tell whether the change is sure enough to be applied."""
 
 from __future__ import annotations
 
@@ -12,19 +12,17 @@ from docdepth.diagnostics.edge_fit import EdgeFit, fit_edges
 
 Floats = NDArray[np.float64]
 
-LEAST_PIXELS_DEG = 0.04
-"""Edges that move by less are left where they are: half a pixel of most cameras."""
-
-FEWEST_IMAGES = 10
 LEAST_PATH = 60.0
-"""Of all images [m]. The parts of a shorter drive see the same street, and have agreed on turns of
-half a degree that were none."""
+"""Path along which the images were taken [m]. The quarters of a shorter drive see the same street,
+and have agreed on turns of 0.6 degrees that were wrong."""
 
+_FEWEST_IMAGES = 10
+_LEAST_MOVED_DEG = 0.04  # half a pixel of most cameras; smaller changes are not applied
 _PARTS = 4  # of the drive, each of which is left out once
 _EVERY = 4  # edges of an image that are used: next to each other they err alike
 _TURN_AND_TIME = np.array([True] * 3 + [False] * 3 + [True])
 _LEAST_SCORE = 1.2  # right ones reach 1.4 to 2.2, another drive's images 1.0 to 1.1
-_ERRORS = 3.0  # by which displacement and gain exceed zero
+_ERRORS = 3.0  # standard errors by which displacement and gain exceed zero
 _MOST_ERROR_DEG = 0.1  # right ones reach 0.02 to 0.08; 0.3 and more where two changes fit alike
 
 
@@ -41,7 +39,7 @@ class CameraFit:
     error_deg : float
         Standard error of that: by how much fits without a quarter of the drive differ (jackknife).
     gain : float
-        Of the score of each image, by the fit without its quarter, in standard errors.
+        Mean growth of the score of an image by the fit without its quarter, in standard errors.
     """
 
     fit: EdgeFit
@@ -51,9 +49,9 @@ class CameraFit:
 
     @property
     def is_sure(self) -> bool:
-        """Whether edges move by more than an error, onto edges of images that were not asked."""
+        """Whether edges surely move, and onto edges of images that the fit has not seen."""
         return (
-            self.moved_deg > max(LEAST_PIXELS_DEG, _ERRORS * self.error_deg)
+            self.moved_deg > max(_LEAST_MOVED_DEG, _ERRORS * self.error_deg)
             and self.error_deg < _MOST_ERROR_DEG
             and self.gain > _ERRORS
             and self.fit.score > _LEAST_SCORE
@@ -71,9 +69,9 @@ def fit_camera(found: RunEdges) -> CameraFit | None:
     Turn, place and time are fitted together. Seen from a few metres a turn looks like a shift, so
     each part by itself is less sure than where the edges lie. None where images are too few.
     """
-    if not found.enough or len(found.edges) < FEWEST_IMAGES:
+    if not found.enough or len(found.edges) < _FEWEST_IMAGES:
         return None
-    every, images = found.every(_EVERY).seen, np.arange(len(found.edges))
+    every, images = found.with_each(_EVERY).seen, np.arange(len(found.edges))
     whole = fit_edges(every, near=fit_edges(every, _TURN_AND_TIME))
     gains, changes = [], []
     for part in np.array_split(images, _PARTS):

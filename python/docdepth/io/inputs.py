@@ -104,8 +104,8 @@ class RunInputs(Checked):
     camera_fit: Literal["apply", "report", "off"] = Field(
         "apply",
         description="Whether depth edges that lie beside those of the images change the camera's "
-        "calibration and times. apply: where the quarters of a drive of 60 m agree, its maps are "
-        "drawn again. report: only say it.",
+        "calibration and times. apply: where all parts of a drive of 60 m agree, maps are drawn "
+        "again. report: only say it.",
     )
     keep_ego: bool = Field(
         False,

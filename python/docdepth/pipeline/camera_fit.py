@@ -9,7 +9,7 @@ import numpy as np
 from docdepth.concurrency import Progress
 from docdepth.datasets.base import CameraStream, Dataset
 from docdepth.diagnostics.calibration import edges_of_images
-from docdepth.diagnostics.camera_fit import FEWEST_IMAGES, LEAST_PATH, CameraFit, fit_camera
+from docdepth.diagnostics.camera_fit import LEAST_PATH, CameraFit, fit_camera
 from docdepth.errors import Finding, log_findings
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.manifest import StoredCameraFit
@@ -25,9 +25,9 @@ _IMAGES = 40
 
 
 def cameras_to_fit(run: RunFolder, recording: Dataset) -> list[CameraStream]:
-    """Cameras as they were given, whose images have not been asked yet.
+    """Cameras as they were given that have not been compared with their images yet.
 
-    What was found for another calibration, or on another request, is taken back.
+    A fit of another calibration, or of another ``camera_fit``, is taken back.
     """
     found = []
     names = [name for name, entry in run.cameras.items() if entry.virtual is None]
@@ -42,12 +42,12 @@ def cameras_to_fit(run: RunFolder, recording: Dataset) -> list[CameraStream]:
 
 
 def fit_cameras(run: RunFolder, recording: Dataset, progress: Progress | None = None) -> bool:
-    """Fit cameras of a run to their images by the maps that were drawn; run.yaml keeps the result.
+    """Fit cameras to their images by the depth maps of the run; run.yaml keeps the result.
 
     Returns
     -------
     bool
-        Whether a camera is another one now, and its maps have to be drawn again.
+        Whether a camera was changed, so that its maps have to be drawn again.
     """
     apply, verdicts = run.inputs.camera_fit == "apply", []
     streams = cameras_to_fit(run, recording)
@@ -78,8 +78,8 @@ def _finding(name: str, found: CameraFit, apply: bool) -> Finding:
         "camera-fit",
         name,
         f"depth edges lie {found.moved_deg:.2f} +- {found.error_deg:.2f} degrees beside those of "
-        f"the images; they fit when {found.change}. Each quarter of the drive confirms what the "
-        f"others ask for; maps are {drawn}",
+        f"the images; they fit when {found.change}. Images of each quarter of the drive confirm "
+        f"what the others ask for, in the mean; maps are {drawn}",
         "`camera_fit='report'` draws with calibration and times as they are given" if apply else "",
         "note",
     )
@@ -103,11 +103,10 @@ def _fit(run: RunFolder, stream: CameraStream, progress: Progress | None) -> Cam
     maps = maps_in(run.path / "depth" / run.cameras[stream.name].folder)
     drawn = [k for k, name in enumerate(stream.names) if name in maps]
     trajectory = run.trajectory()
-    path = trajectory.arc_length_at(stream.times[drawn])
-    if len(drawn) < FEWEST_IMAGES or float(np.ptp(path)) < LEAST_PATH:
+    if not drawn or np.ptp(trajectory.arc_length_at(stream.times[drawn])) < LEAST_PATH:
         return None
     found = edges_of_images(
         run.path, stream, drawn, lambda k: read_depth(maps[stream.names[k]]),
-        trajectory, tracks_in(run.path), progress, _IMAGES, FEWEST_IMAGES,
+        trajectory, tracks_in(run.path), progress, _IMAGES,
     )  # fmt: skip
     return fit_camera(found)

@@ -315,14 +315,13 @@ def _check(folder: RunFolder, recording: Dataset, cameras: Sequence[RunCamera], 
 def _make(folder: RunFolder, recording: Dataset, execution: Execution) -> None:
     """Run each stage that has something to do, or check it alone."""
     workers, progress = execution.workers(), execution.progress
+    are_fitted = not cameras_to_fit(folder, recording)
     poses, cameras = known_poses(folder.inputs, recording), run_cameras(folder, recording)
     if execution.dry_run:
         return _check(folder, recording, cameras, workers.jobs)
-    asked = not cameras_to_fit(folder, recording)
-    cameras = run_cameras(folder, recording)
     stages = plan(folder, recording, poses, cameras)
     is_done = all([stage.state().state == "done" for stage in stages])
-    if is_done and asked and index_is_whole(folder):
+    if is_done and are_fitted and index_is_whole(folder):
         _save_done(folder, stages)
         _delete_frames(folder)
         return
