@@ -22,8 +22,7 @@ from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.pose_tables import poses_of_matrices, read_pose_table
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.datasets.times import read_times
-from docdepth.geometry.lidar_frame import LidarFrame
-from docdepth.geometry.sensor_rig import SensorRig
+from docdepth.geometry.lidar_frame import LidarFrame, SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.depth import encode_depth, read_depth

@@ -26,8 +26,8 @@ from docdepth.datasets import Dataset, open_dataset, usable_points
 from docdepth.evaluation import LabelEvaluation, LabelResult, Table
 from docdepth.evaluation.label_counts import NOTE, LabelCounts
 from docdepth.evaluation.tables import number
+from docdepth.geometry.lidar_frame import LidarView, lidar_views
 from docdepth.geometry.points import DYNAMIC
-from docdepth.geometry.sensor_rig import LidarView, lidar_views
 from docdepth.io.poses import read_poses
 from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.odometry import register_drive

@@ -24,7 +24,7 @@ from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.classifier import classify_drive
 from docdepth.errors import DocDepthError
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.sensor_rig import SensorRig
+from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import grow_ground
 from docdepth.io.depth import read_depth, write_depth

@@ -17,8 +17,8 @@ from docdepth.calibration.quality import difference, leave_one_out, uncertainty
 from docdepth.calibration.result import quality_of
 from docdepth.calibration.sweeps import board_sweep
 from docdepth.datasets import image_streams, open_dataset
+from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.se3 import inverse
-from docdepth.geometry.sensor_rig import SensorRig
 
 SIZE = (LENS.width, LENS.height)
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from docdepth.datasets import Dataset, FrameRange, Sweep, usable_points
 from docdepth.datasets.files import file_of
+from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.se3 import check_rigid
-from docdepth.geometry.sensor_rig import SensorRig
 
 _TYPES = {
     "intensity": np.float32,

@@ -21,8 +21,8 @@ from docdepth.datasets.merged_lidars import (
 )
 from docdepth.datasets.sensor_origin import estimate_sensor_origin
 from docdepth.datasets.up_axis import LevelledRecording
+from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.scan_mesh import share_in_triangles
-from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.synthetic import Drive, scene
 
 

@@ -17,8 +17,8 @@ from docdepth.datasets.formats.pcap.hesai import DESIGNED
 from docdepth.datasets.point_times import TimeSample, find_point_times
 from docdepth.datasets.sensor_origin import estimate_sensor_origin
 from docdepth.errors import DatasetError
+from docdepth.geometry.lidar_frame import lidar_views
 from docdepth.geometry.se3 import se3_exp
-from docdepth.geometry.sensor_rig import lidar_views
 from docdepth.io.pcd import read_pcd
 from docdepth.odometry.deskewing import deskew
 

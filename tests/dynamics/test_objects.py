@@ -8,12 +8,11 @@ from things import with_options
 
 from docdepth.config import parameters
 from docdepth.datasets.base import Sweep
-from docdepth.dynamics import key_frames
+from docdepth.dynamics import voting
 from docdepth.dynamics.classes import classify, cluster_objects
 from docdepth.dynamics.classifier import classify_drive
 from docdepth.dynamics.voting import OccupancyIntervals, Votes
-from docdepth.geometry.lidar_frame import LidarFrame
-from docdepth.geometry.sensor_rig import SensorRig
+from docdepth.geometry.lidar_frame import LidarFrame, SensorRig
 from docdepth.ground.growing import grow_ground
 from docdepth.io.frames import write_trajectory
 from docdepth.io.run_folder import RunFolder
@@ -29,8 +28,8 @@ DEFAULT = parameters("default").dynamics
 def few_votes(monkeypatch):
     """Settings with which votes alone do not find what tracks should find."""
     with_options(monkeypatch, observed_free_share=1.0)
-    monkeypatch.setattr(key_frames, "END_SPACING", 0.2)
-    monkeypatch.setattr(key_frames, "END_RADIUS", 1)
+    monkeypatch.setattr(voting, "END_SPACING", 0.2)
+    monkeypatch.setattr(voting, "END_RADIUS", 1)
     return {"ground.seed_radius": 3.0, "dynamics.time_spacing": 1}
 
 

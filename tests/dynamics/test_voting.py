@@ -10,14 +10,13 @@ from dynamics_reference import reference_vote
 
 import docdepth._core as _core
 from docdepth.config import DynamicsParameters, parameters
-from docdepth.dynamics import key_frames
+from docdepth.dynamics import voting
 from docdepth.dynamics.classifier import classify_drive
-from docdepth.dynamics.key_frames import KeyFrames
-from docdepth.dynamics.voting import KeyFrame, vote
+from docdepth.dynamics.voting import KeyFrame, KeyFrames, vote
 from docdepth.errors import InputError
+from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.se3 import rotation_exp
-from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from walled_yard import pose, scan, straight
 
@@ -39,9 +38,9 @@ def test_key_frames_are_near_along_the_path_and_never_the_sweep_itself():
 
 
 def test_a_crawling_ego_has_a_key_frame_a_second_and_the_ends_more(monkeypatch):
-    monkeypatch.setattr(key_frames, "TIME_RADIUS", 4)
-    monkeypatch.setattr(key_frames, "END_SPACING", 0.2)
-    monkeypatch.setattr(key_frames, "END_RADIUS", 0.5)
+    monkeypatch.setattr(voting, "TIME_RADIUS", 4)
+    monkeypatch.setattr(voting, "END_SPACING", 0.2)
+    monkeypatch.setattr(voting, "END_RADIUS", 0.5)
     chosen = chosen_of(straight(101, 0.01), DynamicsParameters(time_spacing=1))
     assert list(chosen[50]) == [0, 10, 20, 30, 40, 60, 70, 80, 90, 100]
     assert list(chosen[55]) == [0, 20, 30, 40, 50, 60, 70, 80, 90, 100]

@@ -15,10 +15,9 @@ from docdepth.errors import InputError
 from docdepth.evaluation.depth_metrics import DepthErrors
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.evaluation.left_out import LeftOut, Neighbour, beam_of, between_sides
-from docdepth.geometry.lidar_frame import LidarFrame
+from docdepth.geometry.lidar_frame import LidarFrame, SensorRig, lidar_views
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.se3 import inverse, rotation_exp
-from docdepth.geometry.sensor_rig import SensorRig, lidar_views
 from docdepth.io.run_folder import RunFolder
 
 pytestmark = pytest.mark.slow

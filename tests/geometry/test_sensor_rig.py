@@ -13,10 +13,9 @@ from docdepth.dynamics import voting
 from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.evaluation.runs import evaluate_depth, evaluate_labels
 from docdepth.geometry.camera import Camera, View
-from docdepth.geometry.lidar_frame import LidarFrame
+from docdepth.geometry.lidar_frame import LidarFrame, SensorRig, lidar_views
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.se3 import rotation_exp
-from docdepth.geometry.sensor_rig import SensorRig, lidar_views
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry, run_render

@@ -35,8 +35,7 @@ from docdepth.errors import (
     OdometryError,
     RunError,
 )
-from docdepth.geometry.lidar_frame import LidarFrame
-from docdepth.geometry.sensor_rig import SensorRig
+from docdepth.geometry.lidar_frame import LidarFrame, SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.depth import encode_depth, read_depth

@@ -4,7 +4,7 @@ from collections import defaultdict
 
 import numpy as np
 
-from docdepth.odometry.level_ground import split_level_ground
+from docdepth.odometry.registration import split_level_ground
 
 
 def plainly_thinned(points: np.ndarray, edge: float) -> np.ndarray:

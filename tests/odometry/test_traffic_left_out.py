@@ -8,8 +8,8 @@ import numpy as np
 
 from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.odometry.passes import LoggedRegistration
+from docdepth.odometry.registration import SEEN, Traffic
 from docdepth.odometry.registration_log import Found, RegistrationLog
-from docdepth.odometry.traffic import SEEN, Traffic
 
 STEP = 2.5  # metres a sweep
 

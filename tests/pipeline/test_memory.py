@@ -18,7 +18,7 @@ import pytest
 from docdepth.concurrency import Timer
 from docdepth.config import GroundParameters, Parameters, parameters
 from docdepth.datasets import open_dataset
-from docdepth.dynamics.key_frames import KeyFrames
+from docdepth.dynamics.voting import KeyFrames
 from docdepth.errors import ConfigError
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import Chunk, chunks

@@ -27,7 +27,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.render import backends
 from docdepth.render.layers import AGREED
 from docdepth.render.object_views import HEIGHT_MARGIN, VEHICLE_HEIGHT, boxes_in_view
-from docdepth.render.track_sweeps import seen_to_its_top
+from docdepth.render.selection import seen_to_its_top
 from lidar_rays import scan_rays
 
 CAMERA = Camera(np.array([[200.0, 0, 160], [0, 200, 80], [0, 0, 1]]), 320, 120)

@@ -14,7 +14,7 @@ from render_reference import (
     small_camera,
 )
 
-from docdepth.geometry.sensor_rig import SensorRig
+from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 
 BOX, WALL, GAP = 8.0, 40.0, 8 * np.tan(np.radians(1.0))

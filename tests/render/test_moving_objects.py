@@ -31,10 +31,11 @@ from docdepth.render.object_views import (
     boxes_in_view,
     object_views,
 )
-from docdepth.render.selection import drawn_sweeps, needed_sweeps
-from docdepth.render.track_sweeps import (
+from docdepth.render.selection import (
     MOST_TRACK_SWEEPS,
+    drawn_sweeps,
     near_vehicles,
+    needed_sweeps,
     sweeps_of_track,
     track_sweeps,
 )

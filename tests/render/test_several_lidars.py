@@ -16,7 +16,7 @@ from render_reference import (
     straight,
 )
 
-from docdepth.geometry.sensor_rig import SensorRig
+from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.track import Tracks
 from docdepth.render.dynamic_objects import dynamic_objects
 from docdepth.render.render_sweep import RenderSweep

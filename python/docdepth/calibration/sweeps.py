@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.geometry.lidar_frame import SensorRig, lidar_views
 from docdepth.geometry.points import usable_points
-from docdepth.geometry.sensor_rig import SensorRig, lidar_views
 
 Floats = NDArray[np.float64]
 

@@ -18,10 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from docdepth.datasets.files import ImageSource, read_image_of
 from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.checks import ShortRepr, float_array, nanoseconds
-from docdepth.geometry.points import check_points
+from docdepth.geometry.lidar_frame import SensorRig
+from docdepth.geometry.points import ShortRepr, check_points, float_array, nanoseconds
 from docdepth.geometry.se3 import check_rigid
-from docdepth.geometry.sensor_rig import SensorRig
 
 LensModel = Literal["pinhole", "fisheye"]
 

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.geometry.sensor_rig import SensorRig
+from docdepth.geometry.lidar_frame import SensorRig
 
 # fmt: off
 SLOPES = np.array([  # tangent of the elevation; the first 32 lasers are the upper block

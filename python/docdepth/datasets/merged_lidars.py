@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.scan_mesh import share_in_triangles
-from docdepth.geometry.sensor_rig import SensorRig
 
 Place = tuple[float, float, float]
 Cloud = NDArray[np.float32]

@@ -35,9 +35,9 @@ from docdepth.datasets.resampled import ResampledLidar, resample
 from docdepth.datasets.settings import RecordingSettings
 from docdepth.datasets.views import without_ego
 from docdepth.errors import DatasetError, DocDepthError
+from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.se3 import inverse
-from docdepth.geometry.sensor_rig import SensorRig
 
 log = logging.getLogger(__name__)
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 import docdepth._core as _core
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.merged_lidars import Cloud, Place, find_lidars, lidar_ends, rig_in_order
+from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.scan_mesh import share_in_triangles
-from docdepth.geometry.sensor_rig import SensorRig
 
 LEAST_IN_TRIANGLES = 0.75
 """Share of returns with neighbours: 0.94 to 0.98, and 0.38 to 0.70 from 1.9 m beside the LiDAR."""

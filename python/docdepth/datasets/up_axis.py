@@ -13,10 +13,10 @@ from docdepth.datasets.files import readable
 from docdepth.datasets.merged_lidars import Place, lidar_ends, rig_in_order
 from docdepth.datasets.views import View
 from docdepth.geometry.ground_plane import GroundPlane, find_ground, level_turn
+from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.scan_mesh import share_in_triangles
 from docdepth.geometry.se3 import inverse
-from docdepth.geometry.sensor_rig import SensorRig
 
 LEVEL_DEG = 6.0
 """Frames whose z is nearer to up stay as they are: vehicles pitch and roads slope by as much."""

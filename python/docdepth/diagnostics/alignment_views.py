@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, Dataset, Sweep
 from docdepth.diagnostics.sweeps import sample
+from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.se3 import inverse
-from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry.deskewing import centred_motion, deskew
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import Sweep, usable_points
+from docdepth.geometry.lidar_frame import lidar_views
 from docdepth.geometry.scan_mesh import ScanMesh
-from docdepth.geometry.sensor_rig import lidar_views
 
 _TAIL = 0.005  # share of the points that lie outside the vertical field of view at each end
 _FEW_IN_A_DEGREE = 0.1  # of the usual number of points in a degree of azimuth; less is no view

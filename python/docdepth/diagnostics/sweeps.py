@@ -17,8 +17,8 @@ from docdepth.datasets import Dataset, Sweep, usable_points
 from docdepth.datasets.files import suggest_skipping
 from docdepth.datasets.sensor_origin import LEAST_IN_TRIANGLES, SensorOrigin, estimate_sensor_origin
 from docdepth.errors import Collector, DatasetError, Finding, OdometryError, collected
+from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.scan_mesh import share_in_triangles
-from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.odometry.pose_checks import check_period
 
 SAMPLES = 10

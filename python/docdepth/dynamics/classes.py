@@ -15,8 +15,7 @@ import docdepth._core as _core
 from docdepth.config import DynamicsParameters
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
-from docdepth.geometry.checks import ShortRepr
-from docdepth.geometry.points import DYNAMIC, GROUND, STATIC
+from docdepth.geometry.points import DYNAMIC, GROUND, STATIC, ShortRepr
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.track import Track
 

@@ -15,7 +15,6 @@ from docdepth.concurrency import Timer, prefetch, thread_count
 from docdepth.config import DynamicsParameters
 from docdepth.dynamics import voting
 from docdepth.dynamics.classes import Labels, classify, cluster_objects
-from docdepth.dynamics.key_frames import KeyFrames
 from docdepth.dynamics.tracking import (
     TakeSweep,
     TrackedSweep,
@@ -24,7 +23,7 @@ from docdepth.dynamics.tracking import (
     track_objects,
     withdraw_untracked,
 )
-from docdepth.dynamics.voting import KeyFrame, Votes
+from docdepth.dynamics.voting import KeyFrame, KeyFrames, Votes
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.scan_mesh import ScanMesh

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from docdepth.config import DynamicsParameters
 from docdepth.dynamics.voting import KeyFrame, vote
 from docdepth.errors import InputError
-from docdepth.geometry.lidar_frame import LidarFrame
+from docdepth.geometry.lidar_frame import LidarFrame, LidarView, SensorRig, lidar_views
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.se3 import inverse
-from docdepth.geometry.sensor_rig import LidarView, SensorRig, lidar_views
 
 _MANY_LASERS = 4  # a rig of more places knows each laser, as that of KITTI's LiDAR
 _PIXEL_DEG = 0.05  # of the picture in which returns are looked up; half a pixel of most cameras

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import CalibrationError, InputError
-from docdepth.geometry.checks import ShortRepr, float_array
+from docdepth.geometry.points import ShortRepr, float_array
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import docdepth._core as _core
+from docdepth.geometry.lidar_frame import LidarView, SensorRig, lidar_views
 from docdepth.geometry.points import check_points
-from docdepth.geometry.sensor_rig import LidarView, SensorRig, lidar_views
 
 
 class LidarMesh(NamedTuple):

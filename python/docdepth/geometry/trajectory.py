@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import InputError
-from docdepth.geometry.checks import ShortRepr, float_array, nanoseconds
+from docdepth.geometry.points import ShortRepr, float_array, nanoseconds
 from docdepth.geometry.se3 import check_rigid, rotation_exp, rotation_log
 
 _JITTER = 0.05  # metres; poses of a standing sensor differ by less

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError, InputError
-from docdepth.geometry.lidar_frame import LidarFrame
+from docdepth.geometry.lidar_frame import LidarFrame, SensorRig
 from docdepth.geometry.se3 import matrix_to_quaternion, poses_from, quaternion_to_matrix
-from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import WriteFile, write_atomically
 from docdepth.io.file_records import is_file_name

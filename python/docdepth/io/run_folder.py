@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from docdepth.config import Parameters
 from docdepth.errors import DamagedFileError, InputError, RunError
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.lidar_frame import LidarFrame
-from docdepth.geometry.sensor_rig import SensorRig
+from docdepth.geometry.lidar_frame import LidarFrame, SensorRig
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
 from docdepth.io.calibration import read_calibration

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 import docdepth._core as _core
 from docdepth.datasets.base import Sweep
 from docdepth.odometry.deskewing import deskew
-from docdepth.odometry.level_ground import rising_rows
-from docdepth.odometry.registration import FEWEST_POINTS, Registration
+from docdepth.odometry.registration import FEWEST_POINTS, Registration, rising_rows
 from docdepth.odometry.sweeps import SweepPart, ThinnedSweeps, is_raw
 
 FIRST_SWEEPS = 4

@@ -26,8 +26,8 @@ from docdepth.config import OdometryParameters, Parameters, given
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.up_axis import LEVEL_DEG, ground_of
 from docdepth.errors import Finding, InputError, log_findings
-from docdepth.geometry.checks import ShortRepr
 from docdepth.geometry.ground_plane import level_turn
+from docdepth.geometry.points import ShortRepr
 from docdepth.geometry.trajectory import Trajectory, parts_of
 from docdepth.odometry.clock import find_clock_steps
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion

@@ -12,11 +12,10 @@ from docdepth.errors import Finding, OdometryError
 from docdepth.geometry.se3 import inverse, se3_exp, se3_log
 from docdepth.odometry.clock import possible_times, time_gone
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
-from docdepth.odometry.registration import FEWEST_POINTS, UNKNOWN, Registration
+from docdepth.odometry.registration import FEWEST_POINTS, SEEN, UNKNOWN, Registration
 from docdepth.odometry.registration_log import Found, RegistrationLog
 from docdepth.odometry.smoothing import State, filtered, first_state, stamp_error_of
 from docdepth.odometry.sweeps import SweepPart, deskewed_points
-from docdepth.odometry.traffic import SEEN
 
 KnownPoses = Callable[[int], NDArray[np.float64]]
 """``known(k)`` gives poses (n, 4, 4) of an earlier pass; the first k + 1 of them are known."""

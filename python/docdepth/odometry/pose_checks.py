@@ -16,8 +16,7 @@ from docdepth.geometry.trajectory import Trajectory, parts_of
 from docdepth.odometry.clock import even_steps
 from docdepth.odometry.deskewing import centred_motion
 from docdepth.odometry.first_motion import FIRST_SWEEPS, checked_motion, first_motion
-from docdepth.odometry.level_ground import split_level_ground
-from docdepth.odometry.registration import FEWEST_POINTS
+from docdepth.odometry.registration import FEWEST_POINTS, split_level_ground
 from docdepth.odometry.sweeps import FINE_SAMPLING, ThinnedSweeps
 
 _MOVING = 0.15  # metres from sweep to sweep; smaller steps may be errors of registration

@@ -19,8 +19,13 @@ from docdepth.geometry.camera import Camera, View
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.render_sweep import RenderSweep
-from docdepth.render.selection import DYNAMIC_SWEEPS, DrawnSweeps
-from docdepth.render.track_sweeps import lidar_range, seen_to_its_top, sweeps_of_track
+from docdepth.render.selection import (
+    DYNAMIC_SWEEPS,
+    DrawnSweeps,
+    lidar_range,
+    seen_to_its_top,
+    sweeps_of_track,
+)
 
 MAX_NONRIGID_SECONDS = 0.12
 """Sweeps farther in time from the image are not used for objects that are not rigid [s]: a walking

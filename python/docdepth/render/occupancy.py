@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 import docdepth._core as _core
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.checks import ShortRepr
 from docdepth.geometry.ground_plane import find_ground, level_turn
-from docdepth.geometry.lidar_frame import LidarFrame
+from docdepth.geometry.lidar_frame import LidarFrame, SensorRig, lidar_views
+from docdepth.geometry.points import ShortRepr
 from docdepth.geometry.se3 import inverse
-from docdepth.geometry.sensor_rig import SensorRig, lidar_views
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.dynamic_objects import dynamic_objects

@@ -12,14 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 import docdepth._core as _core
 from docdepth.config import RenderParameters
-from docdepth.geometry.lidar_frame import LidarFrame
+from docdepth.geometry.lidar_frame import LidarFrame, SensorRig
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.scan_mesh import LidarMesh, ScanMesh
-from docdepth.geometry.sensor_rig import SensorRig
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.dynamic_objects import DynamicObjects, dynamic_objects
-from docdepth.render.track_sweeps import near_vehicles
+from docdepth.render.selection import near_vehicles
 
 ISOLATED_SIZE_DEG = 0.1
 """Triangles: half the diagonal of the square drawn for a return that belongs to no triangle, as the
@@ -133,7 +132,7 @@ def prepare_sweep(
     tracks : Tracks, optional
     whole : bool
         False: only the points near vehicles
-        (:func:`~docdepth.render.track_sweeps.near_vehicles`).
+        (:func:`~docdepth.render.selection.near_vehicles`).
     is_drawn : callable, optional
         That of :func:`~docdepth.render.dynamic_objects.dynamic_objects`.
 
