@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from results import parser_of, publish, script
 
 from docdepth.diagnostics.calibration import RunEdges, edges_of_images
-from docdepth.diagnostics.camera_fit import fit_camera
 from docdepth.diagnostics.depth_edges import Edges
 from docdepth.evaluation import Table
 from docdepth.evaluation.camera_error import images_and_maps
@@ -26,6 +25,7 @@ from docdepth.geometry.se3 import rotation_exp
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
+from docdepth.pipeline.camera_fit import fit_camera
 
 Floats = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.evaluation.label_counts import LabelCounts, ignored, moving
-from docdepth.evaluation.nearest import nearest_neighbors
+from docdepth.evaluation.pixels import nearest_neighbors
 
 DISTANCE = 0.05
 """Radius of the search of DynamicMap_Benchmark [m]."""

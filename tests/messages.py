@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from docdepth.cli.remedies import as_commands
+from docdepth.cli.terminal import as_commands
 
 PACKAGE = Path(__file__).resolve().parents[1] / "python" / "docdepth"
 GOLDEN = Path(__file__).with_name("messages.txt")

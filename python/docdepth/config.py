@@ -13,8 +13,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from docdepth._parameter_text import check_key_frames, explain
-from docdepth._parameter_text import parse_settings as parse_settings
+from docdepth._text import check_key_frames, explain
+from docdepth._text import parse_settings as parse_settings
 from docdepth.errors import ConfigError, InputError
 
 Layer = Literal[

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TypedDict
 
-from docdepth._parameter_text import described
+from docdepth._text import described
 from docdepth.config import STAGES, Parameters, parameters
 
 

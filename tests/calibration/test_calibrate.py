@@ -10,7 +10,7 @@ from boards import BOARD, LENS, T_CAMERA_LIDAR, all_poses, corners_of, pair
 from docdepth.calibration.board import Board
 from docdepth.calibration.bundle import Solution, covariance, pose_by_sweep, solve_bundle
 from docdepth.calibration.calibrate import calibrate, find
-from docdepth.calibration.linear import normals_condition, solve_linear, solve_scale
+from docdepth.calibration.consensus import normals_condition, solve_linear, solve_scale
 from docdepth.calibration.outline import crossings, rays_near
 from docdepth.calibration.pairs import board_pairs
 from docdepth.calibration.quality import difference, leave_one_out, uncertainty

@@ -3,7 +3,7 @@
 import pytest
 
 from docdepth.cli.failures import explain
-from docdepth.cli.remedies import as_commands
+from docdepth.cli.terminal import as_commands
 from docdepth.errors import DatasetError
 
 

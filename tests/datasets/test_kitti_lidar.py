@@ -8,7 +8,7 @@ import pytest
 
 from docdepth.config import parameters
 from docdepth.datasets import kitti_lidar, open_dataset
-from docdepth.datasets.up_axis import ground_of
+from docdepth.datasets.sensor_pose import ground_of
 from docdepth.evaluation.runs import evaluate_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry, run_render

@@ -19,8 +19,7 @@ from docdepth.datasets.merged_lidars import (
     lidar_ends,
     rig_in_order,
 )
-from docdepth.datasets.sensor_origin import estimate_sensor_origin
-from docdepth.datasets.up_axis import LevelledRecording
+from docdepth.datasets.sensor_pose import LevelledRecording, estimate_sensor_origin
 from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.scan_mesh import share_in_triangles
 from docdepth.synthetic import Drive, scene

@@ -15,7 +15,7 @@ from vehicles import nuscenes_tables
 from docdepth.datasets import Sweep, open_dataset, usable_points
 from docdepth.datasets.formats.pcap.hesai import DESIGNED
 from docdepth.datasets.point_times import TimeSample, find_point_times
-from docdepth.datasets.sensor_origin import estimate_sensor_origin
+from docdepth.datasets.sensor_pose import estimate_sensor_origin
 from docdepth.errors import DatasetError
 from docdepth.geometry.lidar_frame import lidar_views
 from docdepth.geometry.se3 import se3_exp

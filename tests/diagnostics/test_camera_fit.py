@@ -9,9 +9,9 @@ from test_calibration_check import CAMERA, boards, drawn
 
 from docdepth.datasets import CameraStream
 from docdepth.diagnostics.calibration import RunEdges
-from docdepth.diagnostics.camera_fit import fit_camera
 from docdepth.diagnostics.depth_edges import edges_of_map
 from docdepth.geometry.se3 import rotation_exp
+from docdepth.pipeline.camera_fit import fit_camera
 
 IMAGES = 12
 

@@ -11,11 +11,11 @@ from docdepth.datasets import usable_points
 from docdepth.diagnostics.lidar_figures import (
     beams_by_elevation,
     horizontal_field,
+    row_shares,
     shared_rays,
     spacing,
 )
 from docdepth.diagnostics.poses import Window, explain_misfit, pose_figures, share_on, windows_of
-from docdepth.diagnostics.sweep_figures import row_shares
 from docdepth.geometry.ground_plane import find_ground, level_turn
 from docdepth.geometry.se3 import inverse
 from walled_yard import pose, scan

@@ -12,7 +12,7 @@ import pytest
 from drives import COUNT, T_CAMERA_LIDAR, Recorded, camera, moved, right_poses, turned
 
 from docdepth.datasets import Sweep, open_dataset
-from docdepth.diagnostics.inspection import Inspection
+from docdepth.diagnostics.recording_checks import Inspection
 from docdepth.diagnostics.recording_pictures import pictures_of
 from docdepth.diagnostics.recording_report import inspect_recording
 from docdepth.errors import DatasetError, OdometryError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from docdepth.evaluation.nearest import cloud_distance, nearest_neighbors
+from docdepth.evaluation.pixels import cloud_distance, nearest_neighbors
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

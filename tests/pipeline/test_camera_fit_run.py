@@ -11,7 +11,6 @@ import docdepth
 from command_line import cli
 from docdepth.datasets import open_dataset
 from docdepth.diagnostics.calibration import RunEdges
-from docdepth.diagnostics.camera_fit import CameraFit
 from docdepth.diagnostics.depth_edges import edges_of_map
 from docdepth.diagnostics.edge_fit import EdgeFit
 from docdepth.errors import NOTE
@@ -19,6 +18,7 @@ from docdepth.geometry.se3 import rotation_exp
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import camera_fit
+from docdepth.pipeline.camera_fit import CameraFit
 from docdepth.pipeline.plan import states
 
 CHANGE = np.array([0, np.radians(0.5), 0, 0, 0, 0, 6e-3])

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from command_line import cli
-from docdepth.cli.remedies import as_commands
+from docdepth.cli.terminal import as_commands
 from docdepth.errors import ConfigError, RunError
 from docdepth.io.poses import write_kitti
 from docdepth.io.run_folder import RunFolder

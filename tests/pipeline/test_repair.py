@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from command_line import cli
-from docdepth.cli.remedies import as_commands
+from docdepth.cli.terminal import as_commands
 from docdepth.errors import RunError
 from docdepth.io.depth import read_depth
 from docdepth.io.poses import write_kitti

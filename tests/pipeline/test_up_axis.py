@@ -11,8 +11,7 @@ import yaml
 
 from command_line import cli
 from docdepth.datasets import Sweep, open_dataset
-from docdepth.datasets.sensor_origin import estimate_sensor_origin
-from docdepth.datasets.up_axis import LevelledRecording
+from docdepth.datasets.sensor_pose import LevelledRecording, estimate_sensor_origin
 from docdepth.errors import DatasetError
 from docdepth.geometry.points import GROUND
 from docdepth.geometry.se3 import inverse, poses_from, rotation_exp

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from docdepth.diagnostics.recording_pictures import COLORS, clouds_in_plane, points_on_image
 from docdepth.geometry.camera import Camera
 from docdepth.visualization.image_views import write_text
-from docdepth.visualization.overlays import COLORS, clouds_in_plane, points_on_image
 
 
 def test_x_points_up_y_to_the_left_and_colours_add_up() -> None:

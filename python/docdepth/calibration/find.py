@@ -10,8 +10,13 @@ from numpy.typing import NDArray
 
 from docdepth.calibration.board import Board
 from docdepth.calibration.bundle import Observation
-from docdepth.calibration.consensus import agrees, find_extrinsic, nearest_turn
-from docdepth.calibration.linear import normals_condition, solve_linear
+from docdepth.calibration.consensus import (
+    agrees,
+    find_extrinsic,
+    nearest_turn,
+    normals_condition,
+    solve_linear,
+)
 from docdepth.calibration.outline import PAST, crossings
 from docdepth.calibration.search import Patch, find_patches, fit_patch
 from docdepth.calibration.sweeps import BoardSweep

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from docdepth.calibration.board import Board
 from docdepth.calibration.bundle import AT_EDGE, Observation, Solution, pose_by_sweep, solve_bundle
+from docdepth.calibration.consensus import solve_scale
 from docdepth.calibration.corners import board_pose
 from docdepth.calibration.find import FEWEST_BOARDS
-from docdepth.calibration.linear import solve_scale
 from docdepth.calibration.outline import rays_near
 from docdepth.concurrency import Progress
 from docdepth.errors import CalibrationError

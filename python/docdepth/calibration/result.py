@@ -9,15 +9,19 @@ from typing import Any, BinaryIO
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from docdepth.calibration.board import Board
+from docdepth.calibration.bundle import Solution
 from docdepth.calibration.calibrate import BoardPair, Calibration
-from docdepth.calibration.pictures import points_on_image
+from docdepth.calibration.corners import board_pose
+from docdepth.calibration.lens import Lens
 from docdepth.concurrency import Progress
 from docdepth.datasets.files import read_image_of
 from docdepth.geometry.camera import Camera
 from docdepth.io.calibration import write_calibration
 from docdepth.io.recorded_folder import write_output
+from docdepth.visualization.pictures import Picture, overlay
 
 
 def quality_of(found: Calibration) -> dict[str, object]:
@@ -106,3 +110,65 @@ def _write(content: bytes, stream: BinaryIO) -> None:
 
 def _short(number: Any) -> float:
     return round(float(number), 3)
+
+
+Floats = NDArray[np.float64]
+
+_NEAR, _FAR = 1.5, 30.0  # metres of the first and the last colour
+_POINT = 1 / 1500  # half the side of a point, as a share of the image's width
+_LINE = 1 / 640  # width of lines, as a share of the image's width
+_OUTLINE = (255, 255, 255)
+_CORNER = (80, 255, 80)
+_ALONG = 20  # points of each side of the outline, which a lens may bend
+
+
+def points_on_image(image: Picture, board: Board, pair: BoardPair, solution: Solution) -> Picture:
+    """The returns of a sweep on its image, coloured by depth, with the outline of the board.
+
+    Parameters
+    ----------
+    image : ndarray of uint8, shape (h, w, 3)
+        BGR, as the camera took it.
+    board : Board
+    pair : BoardPair
+        The outline is where its corners have it; without corners there is none.
+    solution : Solution
+    """
+    lens, T = solution.lens, solution.T_camera_lidar
+    points = pair.sweep.points @ T[:3, :3].T + T[:3, 3]
+    side, thick = (max(round(share * lens.width), 1) for share in (_POINT, _LINE))
+    depth = np.full((lens.height, lens.width), np.inf, np.float32)
+    seen = _in_view(lens, points)
+    pixels = np.rint(lens.project(points[seen])).astype(int)
+    inside = lens.in_image(pixels)
+    # Near points are drawn last, over those behind them.
+    order = np.argsort(-points[seen][inside, 2])
+    for (u, v), z in zip(pixels[inside][order], points[seen][inside][order, 2], strict=True):
+        depth[max(v - side, 0) : v + side + 1, max(u - side, 0) : u + side + 1] = z
+    depth[np.isinf(depth)] = np.nan
+    picture = overlay(depth, image, 1.0, _NEAR, _FAR)
+    if pair.corners is not None:
+        pose = board_pose(pair.corners, board, lens)[0]
+        corners = board.outline
+        share = np.linspace(0, 1, _ALONG, endpoint=False)[:, None]
+        sides = [a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)]
+        outline = np.concatenate(sides) @ pose[:3, :3].T + pose[:3, 3]
+        line = np.rint(lens.project(outline)).astype(np.int32)
+        cv2.polylines(picture, [line], True, _OUTLINE, thick, cv2.LINE_AA)
+        for u, v in np.rint(pair.corners).astype(int).tolist():
+            cv2.circle(picture, (u, v), thick, _CORNER, 1, cv2.LINE_AA)
+    return picture
+
+
+def _in_view(lens: Lens, points: Floats) -> NDArray[np.bool_]:
+    """Points (N, 3) of the camera that lie in the field of view.
+
+    Far outside it the polynomial of the distortion folds back into the image.
+    """
+    u, v = np.linspace(0, lens.width - 1, _ALONG), np.linspace(0, lens.height - 1, _ALONG)
+    border = [np.stack(np.broadcast_arrays(u, y), axis=1) for y in (0.0, lens.height - 1.0)]
+    border += [np.stack(np.broadcast_arrays(x, v), axis=1) for x in (0.0, lens.width - 1.0)]
+    widest = np.linalg.norm(lens.rays(np.concatenate(border)), axis=1).max()
+    ahead = points[:, 2] > 1e-3
+    away = np.hypot(points[:, 0], points[:, 1])
+    return np.asarray(ahead & (away <= 1.05 * widest * points[:, 2]))

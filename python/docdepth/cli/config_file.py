@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from docdepth._parameter_text import read_yaml
-from docdepth._yaml_text import explain_yaml
+from docdepth._text import explain_yaml, read_yaml
 from docdepth.config import STAGES, Preset, departures, parameters
 from docdepth.errors import ConfigError
 from docdepth.io.inputs import RunInputs

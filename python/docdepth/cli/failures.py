@@ -13,9 +13,8 @@ from pathlib import Path
 import typer
 import yaml
 
-from docdepth._yaml_text import explain_yaml
-from docdepth.cli.remedies import as_commands
-from docdepth.cli.terminal import err, say, volume
+from docdepth._text import explain_yaml
+from docdepth.cli.terminal import as_commands, err, say, volume
 from docdepth.errors import DocDepthError
 
 MISTAKE, BUG, STOPPED = 2, 1, 130

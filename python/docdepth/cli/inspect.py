@@ -9,9 +9,8 @@ from typing import Annotated
 import typer
 
 from docdepth.cli.options import Json, option, verb
-from docdepth.cli.remedies import as_commands
 from docdepth.cli.status import show_findings
-from docdepth.cli.terminal import say, show_json
+from docdepth.cli.terminal import as_commands, say, show_json
 from docdepth.diagnostics.recording_pictures import pictures_of
 from docdepth.diagnostics.recording_report import inspect_recording
 from docdepth.errors import Finding

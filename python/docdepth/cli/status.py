@@ -8,8 +8,7 @@ from typing import Annotated, Any
 from rich.table import Table
 
 from docdepth.cli.options import Json, RunPath, option, verb
-from docdepth.cli.remedies import as_commands
-from docdepth.cli.terminal import err, out, say, show_json, volume
+from docdepth.cli.terminal import as_commands, err, out, say, show_json, volume
 from docdepth.errors import Finding
 from docdepth.io.recorded_folder import holder
 from docdepth.io.run_folder import RunFolder

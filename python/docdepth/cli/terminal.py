@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import codecs
 import io
 import json
 import logging
 import re
+import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -20,7 +22,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, Tim
 from rich.progress import Progress as Bars
 from typer.core import TyperGroup
 
-from docdepth.cli.remedies import as_commands
 from docdepth.concurrency import Progress, null_progress
 from docdepth.errors import NOTE
 
@@ -192,3 +193,61 @@ def _duration(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+
+
+_VERBS = {
+    "run": "run",
+    "inspect_recording": "inspect",
+    "calibrate": "calibrate",
+    "evaluate_held_out": "evaluate held-out",
+    "available": "doctor",
+}
+"""Verbs of functions."""
+
+_OPTIONS = {"output": "-o", "model": "--lens", "boxes": "--box"}
+"""Options with other names than their arguments in Python."""
+
+
+def as_commands(text: str) -> str:
+    """A text whose Python in backticks is said by options and commands.
+
+    `` `on_error='skip'` `` becomes ``--on-error skip``, and `` `docdepth.run(..., 'run',
+    keep='frames')` `` becomes ``docdepth run run --keep frames``.
+    """
+    return re.sub(r"`([^`]+)`", lambda found: _command(found[1]), text)
+
+
+def _command(code: str) -> str:
+    """A call, or arguments of one, as a command or options."""
+    is_call = code.startswith("docdepth.")
+    try:
+        call = ast.parse(code if is_call else f"_({code})", mode="eval").body
+    except SyntaxError:
+        return code
+    if not isinstance(call, ast.Call):
+        return code
+    options = []
+    for keyword in call.keywords:
+        name, value = _option(keyword.arg or ""), keyword.value
+        is_flag = isinstance(value, ast.Constant) and value.value is True
+        options += [name] if is_flag else [name, _value(value)]
+    if not is_call:
+        return " ".join([*(_option(ast.unparse(name)) for name in call.args), *options])
+    verb = _VERBS.get(ast.unparse(call.func).rpartition(".")[2])
+    if verb is None:
+        return code
+    places = [_value(place) for place in call.args if ast.unparse(place) != "..."]
+    if verb == "run" and len(places) == 2:
+        places.insert(1, _OPTIONS["output"])
+    return " ".join(["docdepth", verb, *places, *options])
+
+
+def _option(argument: str) -> str:
+    return _OPTIONS.get(argument, f"--{argument.replace('_', '-')}")
+
+
+def _value(value: ast.expr) -> str:
+    """A value as a shell takes it; a name stands for what the user knows."""
+    if isinstance(value, ast.Constant):
+        return shlex.quote(str(value.value))
+    return ast.unparse(value).upper()

@@ -10,7 +10,7 @@ import typer
 import yaml
 
 from docdepth import tuning
-from docdepth._parameter_text import read_yaml
+from docdepth._text import read_yaml
 from docdepth.cli.options import OneCamera, Threads, option, verb
 from docdepth.cli.terminal import progress_bars, say
 from docdepth.errors import ConfigError, MissingExtraError

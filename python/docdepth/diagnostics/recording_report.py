@@ -18,12 +18,11 @@ from docdepth.config import Parameters
 from docdepth.datasets import Dataset, FrameRange, Sweep, full_recording, usable_points
 from docdepth.diagnostics import recording_checks
 from docdepth.diagnostics.cameras import check_camera
-from docdepth.diagnostics.inspection import Inspection
-from docdepth.diagnostics.lidar_figures import lidar_figures
+from docdepth.diagnostics.lidar_figures import lidar_figures, row_shares, time_figures
 from docdepth.diagnostics.own_vehicle import find_own_vehicle
 from docdepth.diagnostics.poses import Window, pose_figures, share_on, windows_of
+from docdepth.diagnostics.recording_checks import Inspection
 from docdepth.diagnostics.rotation import find_rotation, is_lone_lidar, lacks_times
-from docdepth.diagnostics.sweep_figures import row_shares, time_figures
 from docdepth.diagnostics.sweeps import check_sweeps, find_lonely_returns, find_sensor_origin
 from docdepth.errors import DocDepthError, Finding, collected, in_order
 from docdepth.geometry.ground_plane import find_ground

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from docdepth.config import Parameters
 from docdepth.datasets import Dataset, Sweep, usable_points
 from docdepth.datasets.files import suggest_skipping
-from docdepth.datasets.sensor_origin import LEAST_IN_TRIANGLES, SensorOrigin, estimate_sensor_origin
+from docdepth.datasets.sensor_pose import LEAST_IN_TRIANGLES, SensorOrigin, estimate_sensor_origin
 from docdepth.errors import Collector, DatasetError, Finding, OdometryError, collected
 from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.scan_mesh import share_in_triangles

@@ -24,11 +24,11 @@ from docdepth.evaluation.depth_metrics import (
     PixelSums,
     RegionErrors,
 )
-from docdepth.evaluation.nearest import cloud_distance
 from docdepth.evaluation.pixels import (
     EDGE_MARGIN,
     Depth,
     Mask,
+    cloud_distance,
     edge_distance,
     fill_background,
     points_of,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import Dataset, full_recording
-from docdepth.datasets.up_axis import LevelledRecording
+from docdepth.datasets.sensor_pose import LevelledRecording
 from docdepth.errors import InputError, OdometryError, log_findings
 from docdepth.evaluation.tables import Figures, Table, number
 from docdepth.geometry.se3 import inverse, nearest_rotation

@@ -7,10 +7,9 @@ from pathlib import Path
 
 from docdepth.concurrency import Progress
 from docdepth.errors import ConfigError
-from docdepth.export.colmap import write_colmap
 from docdepth.export.mcap import write_mcap
-from docdepth.export.nerfstudio import write_nerfstudio
 from docdepth.export.occupancy import write_occupancy
+from docdepth.export.posed_images import write_colmap, write_nerfstudio
 from docdepth.pipeline.run_reader import Run, open_run
 
 EXPORTS: dict[str, Callable[[Run, Path, Progress | None], int]] = {

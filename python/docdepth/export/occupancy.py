@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from docdepth.concurrency import Progress, null_progress
-from docdepth.export.photos import write_bytes
+from docdepth.export.posed_images import write_bytes
 from docdepth.pipeline.run_reader import Run
 from docdepth.render.occupancy import CORNER, DYNAMIC, FREE, GROUND, SIZE, STATIC, VOXEL
 

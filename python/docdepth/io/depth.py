@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError, DatasetError, InputError
 from docdepth.io.atomic import write_atomically
-from docdepth.io.exr import encode_exr, import_exr, read_exr
-from docdepth.io.images import decode_image, encode_png
+from docdepth.io.images import decode_image, encode_exr, encode_png, import_exr, read_exr
 from docdepth.io.npy import ArrayError, read_array, read_arrays
 from docdepth.io.yaml_json import parse_json
 

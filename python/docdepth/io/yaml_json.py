@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from docdepth._yaml_text import UniqueLoader, explain_yaml
+from docdepth._text import UniqueLoader, explain_yaml
 
 _MOST_VALUES = 10_000_000
 """Of a tree in which YAML's aliases stand for what they repeat: nine lines can be a milliard."""

@@ -24,7 +24,7 @@ import docdepth._core as _core
 from docdepth.concurrency import Progress, thread_count
 from docdepth.config import OdometryParameters, Parameters, given
 from docdepth.datasets.base import Dataset
-from docdepth.datasets.up_axis import LEVEL_DEG, ground_of
+from docdepth.datasets.sensor_pose import LEVEL_DEG, ground_of
 from docdepth.errors import Finding, InputError, log_findings
 from docdepth.geometry.ground_plane import level_turn
 from docdepth.geometry.points import ShortRepr

@@ -289,7 +289,7 @@ def virtual_stream(
         Nanoseconds.
     up : (float, float, float), optional
         Of the frame in which it was described, where the run's own was turned
-        (:class:`~docdepth.datasets.up_axis.LevelledRecording`).
+        (:class:`~docdepth.datasets.sensor_pose.LevelledRecording`).
     """
     camera = Camera(np.array(described.K), *described.size)
     T_camera_lidar = inverse(np.array(described.T_lidar_camera))

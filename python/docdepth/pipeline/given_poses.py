@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from docdepth.config import OdometryParameters
 from docdepth.datasets import Dataset, FrameRange, full_recording
-from docdepth.datasets.up_axis import LevelledRecording
+from docdepth.datasets.sensor_pose import LevelledRecording
 from docdepth.errors import DatasetError, OdometryError
 from docdepth.geometry.se3 import inverse
 from docdepth.io.inputs import OWN_POSES, camera_and_file

@@ -21,7 +21,7 @@ from docdepth.datasets import (
 from docdepth.datasets.files import first_readable, read_image_of
 from docdepth.datasets.formats.docdepth_run import RunDataset
 from docdepth.datasets.point_times import Instant
-from docdepth.datasets.up_axis import LEVEL_DEG, LevelledRecording, ground_of
+from docdepth.datasets.sensor_pose import LEVEL_DEG, LevelledRecording, ground_of
 from docdepth.datasets.views import TurningLidar, WithoutEgo
 from docdepth.diagnostics.own_vehicle import find_own_vehicle
 from docdepth.diagnostics.rotation import find_rotation, lacks_times

@@ -25,9 +25,8 @@ from docdepth.pipeline.odometry import run_odometry
 from docdepth.pipeline.plan import require
 from docdepth.pipeline.render import run_render
 from docdepth.pipeline.run_inputs import known_poses, open_recording, recording_of
-from docdepth.tuning.objective import LABELS, Objective
 from docdepth.tuning.results import Outcome, write_csv
-from docdepth.tuning.trials import Trial
+from docdepth.tuning.trials import LABELS, Objective, Trial
 
 _TRIALS = ".docdepth-trials"
 """Folder of the trials' run folders, which are deleted: nothing of the user's may lie there."""

@@ -119,7 +119,7 @@ def inspection_lines(figures: Figures) -> Iterator[str]:
     Parameters
     ----------
     figures : dict
-        Groups of figures by name, of :class:`docdepth.diagnostics.inspection.Inspection`.
+        Groups of figures by name, of :class:`docdepth.diagnostics.recording_checks.Inspection`.
     """
     recording = figures["recording"]
     yield f"{recording['path']}, read as {recording['format']}"

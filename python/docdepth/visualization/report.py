@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from docdepth._core import __version__
-from docdepth._parameter_text import described
+from docdepth._text import described
 from docdepth.config import STAGES, Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import RunError
