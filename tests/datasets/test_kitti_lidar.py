@@ -10,6 +10,7 @@ from docdepth.config import parameters
 from docdepth.datasets import kitti_lidar, open_dataset
 from docdepth.datasets.sensor_pose import ground_of
 from docdepth.evaluation.runs import evaluate_depth
+from docdepth.io.frames import read_sensors
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry, run_render
 from docdepth.synthetic import scene, sensor, sensors, write_drive
@@ -129,4 +130,4 @@ def test_its_beams_are_wide_unless_a_recording_says_otherwise(tmp_path, short, s
     assert np.degrees(rig.beam_width) == pytest.approx(width)
     run = RunFolder(tmp_path / "run")
     run.write_sensors(rig, {})
-    assert run._rig_of(rig.index).beam_width == rig.beam_width
+    assert read_sensors(run.sensors_path, rig.index).beam_width == rig.beam_width

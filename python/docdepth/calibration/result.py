@@ -19,8 +19,8 @@ from docdepth.calibration.lens import Lens
 from docdepth.concurrency import Progress
 from docdepth.datasets.files import read_image_of
 from docdepth.geometry.camera import Camera
+from docdepth.io.atomic import write_output
 from docdepth.io.calibration import write_calibration
-from docdepth.io.recorded_folder import write_output
 from docdepth.visualization.pictures import Picture, overlay
 
 

@@ -17,8 +17,8 @@ from docdepth.errors import CalibrationError, ConfigError
 from docdepth.evaluation.camera_error import check_calibration
 from docdepth.evaluation.time_offset import TimeOffset, image_times, time_offset
 from docdepth.geometry.se3 import inverse
+from docdepth.io.atomic import write_output
 from docdepth.io.inputs import RunInputs
-from docdepth.io.recorded_folder import write_output
 from docdepth.pipeline.depth_files import encode_image
 
 if TYPE_CHECKING:  # it needs an extra

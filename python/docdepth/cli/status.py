@@ -10,7 +10,7 @@ from rich.table import Table
 from docdepth.cli.options import Json, RunPath, option, verb
 from docdepth.cli.terminal import as_commands, err, out, say, show_json, volume
 from docdepth.errors import Finding
-from docdepth.io.recorded_folder import holder
+from docdepth.io.atomic import holder
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.plan import states
 

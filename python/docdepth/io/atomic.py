@@ -1,14 +1,20 @@
-"""Atomic writes: a file is whole or not there."""
+"""Files written so that each is whole or not there, by one process, and never over a user's own."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import io
+import logging
 import os
+import socket
+import time
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -16,12 +22,15 @@ import numpy as np
 
 from docdepth.errors import RunError
 
+log = logging.getLogger(__name__)
+
 WriteFile = Callable[[Path, Callable[[BinaryIO], object]], None]
 """A function like :func:`write_atomically`."""
 
 
 _CHUNK = 1 << 22  # bytes that are read at once for a checksum
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_TRIES, _PAUSE = 4, 0.05  # seconds
 
 
 @dataclass(frozen=True)
@@ -111,3 +120,112 @@ def checksum(path: Path) -> int:
         while data := stream.read(_CHUNK):
             found = zlib.crc32(data, found)
     return found
+
+
+def write_output(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    """Write a file in a folder that a user named; one with other content becomes ``NAME.old``.
+
+    Raises
+    ------
+    RunError
+        The file cannot be written.
+    """
+
+    def keep(written: Written) -> None:
+        if not has_content(path, written):
+            move_aside(path)
+
+    write_atomically(path, write, before_rename=keep)
+
+
+def has_content(path: Path, written: Written) -> bool:
+    """Whether a file is not there, or has the content of one that was written."""
+    try:
+        return path.stat().st_size == written.size and checksum(path) == written.checksum
+    except FileNotFoundError:
+        return True
+    except OSError:
+        return False
+
+
+def move_aside(path: Path) -> None:
+    """Give a file that docdepth did not write, or that was changed since, another name."""
+    aside, number = path.with_name(f"{path.name}.old"), 1
+    while aside.exists():
+        number += 1
+        aside = path.with_name(f"{path.name}.old{number}")
+    with contextlib.suppress(FileNotFoundError):
+        path.rename(aside)
+        log.warning(
+            "%s was not written by docdepth, or was changed since, and is %s now", path, aside.name
+        )
+
+
+@contextmanager
+def locked(file: Path, folder: Path, what: str) -> Iterator[None]:
+    """Keep other processes from working in a folder.
+
+    The system lets go of the lock when the process ends, however it ends.
+
+    Parameters
+    ----------
+    file : Path
+        The lock; it names who works there. Created if it is not there.
+    folder : Path
+        For messages.
+    what : str
+        What the process does, for the others' message.
+
+    Raises
+    ------
+    RunError
+        Another process works in the folder, or the folder cannot be written.
+    """
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        stream = file.open("a+", encoding="utf-8")
+    except OSError as error:
+        raise RunError(
+            f"cannot write into {folder}: {error.strerror}; choose another folder"
+        ) from None
+    with stream:
+        if not _is_taken(stream.fileno()):
+            raise RunError(
+                f"{folder} is in use by {holder(file) or 'another process'}; wait until it ends, "
+                "or stop it"
+            )
+        now = datetime.now().isoformat(sep=" ", timespec="seconds")
+        _write(stream.fileno(), f"process {os.getpid()} on {socket.gethostname()} ({what}, {now})")
+        try:
+            yield
+        finally:
+            _write(stream.fileno(), "")
+
+
+def holder(file: Path) -> str | None:
+    """Who has a lock; None if nobody does."""
+    try:
+        with file.open(encoding="utf-8") as stream:
+            try:
+                fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except OSError:
+                return stream.read() or "another process"
+    except (OSError, UnicodeDecodeError):
+        pass
+    return None
+
+
+def _is_taken(descriptor: int) -> bool:
+    for _ in range(_TRIES):  # who asks for the holder has the lock for an instant
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+        except OSError:
+            time.sleep(_PAUSE)
+    return False
+
+
+def _write(descriptor: int, text: str) -> None:
+    with contextlib.suppress(OSError):  # a full disk: the lock holds, without a name
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, text.encode(), 0)

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import DamagedFileError, InputError
+from docdepth.errors import DamagedFileError, InputError, RunError
 from docdepth.geometry.lidar_frame import LidarFrame, SensorRig
 from docdepth.geometry.se3 import matrix_to_quaternion, poses_from, quaternion_to_matrix
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import WriteFile, write_atomically
 from docdepth.io.file_records import is_file_name
-from docdepth.io.npy import ArrayError, read_array
+from docdepth.io.npy import ArrayError, read_array, read_kept_arrays
 from docdepth.io.ply import read_comments, read_vertices, write_vertices
 
 _SECOND = 1_000_000_000  # nanoseconds
@@ -32,6 +33,7 @@ _SECONDS = {"<u4": (0, 1 << 32), "<i4": (-(1 << 31), 1 << 31)}
 """Limits of what holds the seconds: 1970 to 2106, or 1902 to 2038 where a stamp is before 1970."""
 
 _CLASSES = {name: "<u2" for name in ("classid", "instance", "votes_static", "votes_dynamic")}
+_OF_SENSORS = ("T_lidar_sensor", "lateral_offset", "lidar_id", "beam_width")
 _OPTIONAL = {**_CLASSES, "time_offset": "<f4", "sensor": "<u1"}
 """Properties of a frame that it may lack. Frames of a run have their classes in another file."""
 
@@ -121,6 +123,60 @@ def read_trajectory(path: Path) -> tuple[Trajectory, NDArray[np.int64]]:
         return Trajectory(times, poses), indices
     except InputError as error:
         raise DamagedFileError(path, str(error)) from None
+
+
+def read_whole_trajectory(path: Path) -> Trajectory:
+    """The poses of a run, one a frame; read once, since all chunks of a worker ask for them.
+
+    Raises
+    ------
+    RunError
+        As for :func:`read_trajectory`, or a frame has no pose.
+    """
+    return _whole_trajectory(path, _identity(path))
+
+
+@lru_cache(maxsize=1)
+def _whole_trajectory(path: Path, identity: tuple[int, ...]) -> Trajectory:
+    trajectory, indices = read_trajectory(path)
+    if not np.array_equal(indices, np.arange(len(indices))):
+        raise RunError(f"{path}: its frames are not numbered 0, 1, 2, ... without gaps")
+    return trajectory
+
+
+def _identity(path: Path) -> tuple[int, ...]:
+    """Changes when a file is written anew; empty where there is no file."""
+    try:
+        known = path.stat()
+    except OSError:
+        return ()
+    return known.st_ino, known.st_size, known.st_mtime_ns
+
+
+def write_sensors(path: Path, sensor_rig: SensorRig, write_file: WriteFile) -> None:
+    """Write where the LiDARs or their lasers sit, once for all frames, as NPZ."""
+    arrays = {name: getattr(sensor_rig, name) for name in _OF_SENSORS}
+    write_file(path, lambda stream: np.savez(stream, **arrays))
+
+
+def read_sensors(path: Path, sensor: NDArray[np.uint8]) -> SensorRig:
+    """Where the rays of points begin, by the sensor of each.
+
+    Raises
+    ------
+    RunError
+        The file is missing or damaged.
+    """
+    try:
+        return SensorRig(sensor, **_sensors(path, _identity(path)))
+    except (InputError, TypeError, ValueError) as error:
+        raise DamagedFileError(path, str(error)) from None
+
+
+@lru_cache(maxsize=1)
+def _sensors(path: Path, identity: tuple[int, ...]) -> dict[str, Any]:
+    """Arguments of :class:`SensorRig` that all frames of a run share, read once."""
+    return dict(zip(_OF_SENSORS, read_kept_arrays(path, *_OF_SENSORS), strict=True))
 
 
 def write_frame(path: Path, frame: LidarFrame, write_file: WriteFile = write_atomically) -> None:

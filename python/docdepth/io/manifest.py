@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from docdepth._core import __version__
 from docdepth.config import Parameters, stored_parameters
-from docdepth.errors import ConfigError
+from docdepth.errors import ConfigError, RunError
 from docdepth.io.file_records import is_file_name
 from docdepth.io.inputs import Checked, DerivedInputs, RunInputs
 from docdepth.io.yaml_json import parse_yaml
@@ -175,6 +175,41 @@ class RunManifest(BaseModel):
     trial: str | None = None
     stages: dict[str, StageEntry] = {}
 
+    def go_on(
+        self,
+        path: Path,
+        inputs: RunInputs | None,
+        derived: DerivedInputs,
+        parameters: Parameters,
+        force: bool,
+    ) -> None:
+        """Take what the run in folder ``path`` is given now.
+
+        Raises
+        ------
+        RunError
+            It is another run, and that is not forced.
+        """
+        first, comparable = self.parameters_at_start or self.parameters, inputs
+        if inputs is not None and self.inputs is not None:
+            # Another camera is added to those that the run has.
+            inputs = inputs.but(camera=self.inputs.camera)
+            comparable = inputs.but(on_error=self.inputs.on_error)
+        found = self.derived.model_copy(update={"skipped": derived.skipped})
+        for have, want in (self.inputs, comparable), (found, derived), (first, parameters):
+            is_known = want is parameters and parameters == self.parameters
+            if have != want and not force and not is_known:
+                difference = _first_difference(_tree(have), _tree(want))
+                raise RunError(
+                    f"{path} holds another run: its {difference}",
+                    "name another folder by `output`, or go on here with new values by "
+                    "`force=True`",
+                )
+        self.inputs, self.derived = inputs, derived
+        if parameters != first or self.parameters_at_start is None:
+            self.parameters = parameters
+        self.parameters_at_start = parameters
+
     def text(self) -> bytes:
         """As run.yaml holds it."""
         tree = self.model_dump(mode="json", exclude_none=True)
@@ -205,9 +240,8 @@ def read_manifest(path: Path) -> RunManifest | None:
     return found
 
 
-def first_difference(have: BaseModel, want: BaseModel) -> str:
-    """Say what differs first between two models."""
-    return _first_difference(have.model_dump(mode="json"), want.model_dump(mode="json"))
+def _tree(model: BaseModel | None) -> dict[str, Any]:
+    return (model or RunManifest()).model_dump(mode="json")
 
 
 def _first_difference(have: Any, want: Any, path: str = "") -> str:

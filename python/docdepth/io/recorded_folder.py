@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import logging
 import os
 import shutil
-import socket
-import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from datetime import datetime
 from pathlib import Path
 from threading import RLock
 from typing import BinaryIO, NamedTuple
 from uuid import uuid4
 
 from docdepth.errors import RunError
-from docdepth.io.atomic import WriteFile, Written, checksum, write_atomically
+from docdepth.io.atomic import (
+    WriteFile,
+    Written,
+    has_content,
+    locked,
+    move_aside,
+    write_atomically,
+)
 from docdepth.io.file_records import FileRecords, shared_records
-
-log = logging.getLogger(__name__)
 
 STATE_DIR = ".docdepth"
 """Folder of a run with what docdepth needs to continue it; nothing in it is a result."""
-
-_TRIES, _PAUSE = 4, 0.05  # seconds
 
 
 def check_entries(folder: Path) -> None:
@@ -247,7 +245,7 @@ class RecordedFolder:
         records = self.records(path.parent)
         if not records.path.is_file():
             self._adopt(path.parent)
-        if records.is_foreign(path.name) and not _has_content(path, written):
+        if records.is_foreign(path.name) and not has_content(path, written):
             move_aside(path)
         records.add(path.name, written, key)
 
@@ -308,112 +306,3 @@ class RecordedFolder:
     def invalidate(self, path: Path) -> None:
         """Have a file made again."""
         self.records(path.parent).invalidate(path.name)
-
-
-def write_output(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Write a file in a folder that a user named; one with other content becomes ``NAME.old``.
-
-    Raises
-    ------
-    RunError
-        The file cannot be written.
-    """
-
-    def keep(written: Written) -> None:
-        if not _has_content(path, written):
-            move_aside(path)
-
-    write_atomically(path, write, before_rename=keep)
-
-
-def _has_content(path: Path, written: Written) -> bool:
-    """Whether a file is not there, or has the content of one that was written."""
-    try:
-        return path.stat().st_size == written.size and checksum(path) == written.checksum
-    except FileNotFoundError:
-        return True
-    except OSError:
-        return False
-
-
-def move_aside(path: Path) -> None:
-    """Give a file that docdepth did not write, or that was changed since, another name."""
-    aside, number = path.with_name(f"{path.name}.old"), 1
-    while aside.exists():
-        number += 1
-        aside = path.with_name(f"{path.name}.old{number}")
-    with contextlib.suppress(FileNotFoundError):
-        path.rename(aside)
-        log.warning(
-            "%s was not written by docdepth, or was changed since, and is %s now", path, aside.name
-        )
-
-
-@contextmanager
-def locked(file: Path, folder: Path, what: str) -> Iterator[None]:
-    """Keep other processes from working in a folder.
-
-    The system lets go of the lock when the process ends, however it ends.
-
-    Parameters
-    ----------
-    file : Path
-        The lock; it names who works there. Created if it is not there.
-    folder : Path
-        For messages.
-    what : str
-        What the process does, for the others' message.
-
-    Raises
-    ------
-    RunError
-        Another process works in the folder, or the folder cannot be written.
-    """
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        stream = file.open("a+", encoding="utf-8")
-    except OSError as error:
-        raise RunError(
-            f"cannot write into {folder}: {error.strerror}; choose another folder"
-        ) from None
-    with stream:
-        if not _taken(stream.fileno()):
-            raise RunError(
-                f"{folder} is in use by {holder(file) or 'another process'}; wait until it ends, "
-                "or stop it"
-            )
-        now = datetime.now().isoformat(sep=" ", timespec="seconds")
-        _write(stream.fileno(), f"process {os.getpid()} on {socket.gethostname()} ({what}, {now})")
-        try:
-            yield
-        finally:
-            _write(stream.fileno(), "")
-
-
-def holder(file: Path) -> str | None:
-    """Who has a lock; None if nobody does."""
-    try:
-        with file.open(encoding="utf-8") as stream:
-            try:
-                fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            except OSError:
-                return stream.read() or "another process"
-    except (OSError, UnicodeDecodeError):
-        pass
-    return None
-
-
-def _taken(descriptor: int) -> bool:
-    for _ in range(_TRIES):  # who asks for the holder has the lock for an instant
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return True
-        except OSError:
-            time.sleep(_PAUSE)
-    return False
-
-
-def _write(descriptor: int, text: str) -> None:
-    with contextlib.suppress(OSError):  # a full disk: the lock holds, without a name
-        os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, text.encode(), 0)

@@ -7,7 +7,7 @@ import json
 import logging
 import os
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,35 +15,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.config import Parameters
-from docdepth.errors import DamagedFileError, InputError, RunError
+from docdepth.errors import RunError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.lidar_frame import LidarFrame, SensorRig
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.atomic import write_atomically
+from docdepth.io.atomic import move_aside, write_atomically
 from docdepth.io.calibration import read_calibration
 from docdepth.io.frames import (
     read_frame,
     read_points,
-    read_trajectory,
+    read_sensors,
+    read_whole_trajectory,
     with_classes,
     write_frame,
+    write_sensors,
 )
 from docdepth.io.inputs import DerivedInputs, RunInputs
 from docdepth.io.manifest import (
     CameraEntry,
     RunManifest,
     StageEntry,
-    first_difference,
     read_manifest,
 )
-from docdepth.io.npy import read_kept_arrays
-from docdepth.io.recorded_folder import STATE_DIR, RecordedFolder, check_entries, move_aside
+from docdepth.io.recorded_folder import STATE_DIR, RecordedFolder, check_entries
 from docdepth.io.yaml_json import parse_json
 
 log = logging.getLogger(__name__)
 
 _STAGE_INPUTS = "stage_inputs.json"
-_OF_SENSORS = ("T_lidar_sensor", "lateral_offset", "lidar_id", "beam_width")
 
 
 class RunFolder(RecordedFolder):
@@ -123,7 +122,7 @@ class RunFolder(RecordedFolder):
             raise RunError(f"{self.path} is a file", "name a folder by `output`")
         derived = derived or DerivedInputs()
         if self.begun:
-            self._continue(inputs, derived, parameters, force)
+            self.manifest.go_on(self.path, inputs, derived, parameters, force)
         elif self._has_foreign_files():
             raise RunError(
                 f"{self.path} is not empty and holds no run", "name another folder by `output`"
@@ -137,35 +136,6 @@ class RunFolder(RecordedFolder):
                 folders_written=[],
             )
             self.begun = True
-
-    def _continue(
-        self,
-        inputs: RunInputs | None,
-        derived: DerivedInputs,
-        parameters: Parameters,
-        force: bool,
-    ) -> None:
-        """Go on with a run that was started before."""
-        begun, known = self.manifest, self.manifest.parameters
-        first = begun.parameters_at_start or known
-        comparable = inputs
-        if inputs is not None and begun.inputs is not None:
-            # Another camera is added to those that the run has.
-            inputs = inputs.but(camera=begun.inputs.camera)
-            comparable = inputs.but(on_error=begun.inputs.on_error)
-        found = begun.derived.model_copy(update={"skipped": derived.skipped})
-        for have, want in (begun.inputs, comparable), (found, derived), (first, parameters):
-            if have == want or force or (want is parameters and parameters == known):
-                continue
-            difference = first_difference(have or RunManifest(), want or RunManifest())
-            raise RunError(
-                f"{self.path} holds another run: its {difference}",
-                "name another folder by `output`, or go on here with new values by `force=True`",
-            )
-        begun.inputs, begun.derived = inputs, derived
-        if parameters != first or begun.parameters_at_start is None:
-            begun.parameters = parameters
-        begun.parameters_at_start = parameters
 
     def _has_foreign_files(self) -> bool:
         """Whether there is something in the folder though docdepth never wrote into it."""
@@ -315,7 +285,7 @@ class RunFolder(RecordedFolder):
     def deskewed(self, index: int) -> LidarFrame:
         """Frame number ``index`` as odometry wrote it."""
         self.check_has_frames()
-        return read_frame(self.frame_path(index), self._rig_of)
+        return read_frame(self.frame_path(index), partial(read_sensors, self.sensors_path))
 
     def classified_frame(self, index: int) -> tuple[LidarFrame, NDArray[np.uint16]]:
         """Frame number ``index`` and its classes.
@@ -338,17 +308,9 @@ class RunFolder(RecordedFolder):
         self.check_has_frames()
         return read_points(self.frame_path(index))
 
-    def _rig_of(self, sensor: NDArray[np.uint8]) -> SensorRig:
-        """Where the rays of points begin, by the sensor of each."""
-        try:
-            return SensorRig(sensor, **_sensors(self.sensors_path, _identity(self.sensors_path)))
-        except (InputError, TypeError, ValueError) as error:
-            raise DamagedFileError(self.sensors_path, str(error)) from None
-
     def write_sensors(self, sensor_rig: SensorRig, key: dict[str, str]) -> None:
         """Write where the LiDARs or their lasers sit, once for all frames."""
-        arrays = {name: getattr(sensor_rig, name) for name in _OF_SENSORS}
-        self.write(self.sensors_path, lambda stream: np.savez(stream, **arrays), key)
+        write_sensors(self.sensors_path, sensor_rig, self.writer(key))
 
     def frame_key(self, index: int) -> dict[str, str]:
         """What frame ``index`` was made of, a hash for each stage; empty if it is not whole."""
@@ -360,7 +322,7 @@ class RunFolder(RecordedFolder):
 
     def trajectory(self) -> Trajectory:
         """LiDAR poses, one a frame."""
-        return _trajectory(self.trajectory_path, _identity(self.trajectory_path))
+        return read_whole_trajectory(self.trajectory_path)
 
     def calibration_folder(self, camera: str = "") -> Path:
         """Folder of a camera's calibration and trajectory; ``camera`` is one among several."""
@@ -421,37 +383,12 @@ class RunFolder(RecordedFolder):
         return self.manifest.cameras
 
 
-def _identity(path: Path) -> tuple[int, ...]:
-    """Changes when a file is written anew; empty where there is no file."""
-    try:
-        known = path.stat()
-    except OSError:
-        return ()
-    return known.st_ino, known.st_size, known.st_mtime_ns
-
-
 def _content(path: Path) -> bytes | None:
     """None where there is no file that can be read."""
     try:
         return path.read_bytes()
     except OSError:
         return None
-
-
-@lru_cache(maxsize=1)
-def _sensors(path: Path, identity: tuple[int, ...]) -> dict[str, Any]:
-    """Arguments of :class:`SensorRig` that all frames of a run share, read once."""
-    return dict(zip(_OF_SENSORS, read_kept_arrays(path, *_OF_SENSORS), strict=True))
-
-
-# All chunks of a worker ask for the trajectory of the whole drive.
-@lru_cache(maxsize=1)
-def _trajectory(path: Path, identity: tuple[int, ...]) -> Trajectory:
-    """The poses of a run, read once."""
-    trajectory, indices = read_trajectory(path)
-    if not np.array_equal(indices, np.arange(len(indices))):
-        raise RunError(f"{path}: its frames are not numbered 0, 1, 2, ... without gaps")
-    return trajectory
 
 
 def stage_key(*parts: Any) -> str:

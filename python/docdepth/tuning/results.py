@@ -13,7 +13,7 @@ from typing import Any, cast
 from docdepth.config import Settings
 from docdepth.errors import MissingExtraError
 from docdepth.evaluation.tables import Table, number
-from docdepth.io.recorded_folder import write_output
+from docdepth.io.atomic import write_output
 
 _ERRORS = {
     "density": ("all.density", "density %", 1),

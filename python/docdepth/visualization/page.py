@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 
 from docdepth.errors import DatasetError
-from docdepth.io.atomic import write_atomically
-from docdepth.io.recorded_folder import move_aside
+from docdepth.io.atomic import move_aside, write_atomically
 from docdepth.visualization.pictures import Picture
 
 _MARKS = "<!-- docdepth page -->", "<!-- docdepth inspect -->"  # today's, and that of earlier pages
