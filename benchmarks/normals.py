@@ -17,7 +17,8 @@ from cells import Cell, ExactDrive, cell_parser, each_cell
 from numpy.typing import NDArray
 from results import script
 
-from docdepth.config import parameters, parse_settings
+from docdepth._text import parse_settings
+from docdepth.config import parameters
 from docdepth.evaluation import Table
 from docdepth.evaluation.tables import number
 from docdepth.render.scene import render_depth, render_layers

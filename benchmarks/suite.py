@@ -35,7 +35,8 @@ from numpy.typing import NDArray
 from results import script
 
 from docdepth._core import __version__
-from docdepth.config import Parameters, Preset, parameters, parse_settings
+from docdepth._text import parse_settings
+from docdepth.config import Parameters, Preset, parameters
 from docdepth.evaluation import DepthEvaluation, Table, label_counts, moving
 from docdepth.evaluation import depth as depth_evaluation
 from docdepth.evaluation.pixels import project

@@ -21,7 +21,8 @@ import numpy as np
 from cells import Cell, cell_parser, each_cell
 from results import script
 
-from docdepth.config import Parameters, parameters, parse_settings
+from docdepth._text import parse_settings
+from docdepth.config import Parameters, parameters
 from docdepth.evaluation import Table
 from docdepth.evaluation.runs import evaluate_labels, evaluate_tracks
 from docdepth.evaluation.tables import number

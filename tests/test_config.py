@@ -5,10 +5,10 @@ import pytest
 import yaml
 
 import docdepth._core as _core
+from docdepth._text import parse_settings
 from docdepth.config import (
     GroundParameters,
     parameters,
-    parse_settings,
 )
 from docdepth.errors import ConfigError
 from docdepth.io.run_folder import RunFolder

@@ -14,7 +14,6 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from docdepth._text import check_key_frames, explain
-from docdepth._text import parse_settings as parse_settings
 from docdepth.errors import ConfigError, InputError
 
 Layer = Literal[
@@ -79,8 +78,6 @@ class OdometryParameters(_Stage):
 class GroundParameters(_Stage):
     """Ground growing (paper IV-A).
 
-    Notes
-    -----
     Differences from the paper's text, in both presets:
 
     - "Up" is the z axis of the world, which is the first sweep's; the paper takes the sensor's.
@@ -126,8 +123,6 @@ class GroundParameters(_Stage):
 class DynamicsParameters(_Stage):
     """Key frames (paper IV-B), their votes (IV-C, Algorithm 1), and classes from votes.
 
-    Notes
-    -----
     Differences from the paper's text, in both presets:
 
     - Path length leaves out steps shorter than 5 cm, so a standing sensor adds no key frames.
@@ -298,13 +293,8 @@ class Parameters(_Stage):
 
 
 STAGES: dict[str, type[BaseModel]] = {
-    "odometry": OdometryParameters,
-    "ground": GroundParameters,
-    "dynamics": DynamicsParameters,
-    "render": RenderParameters,
-    "output": OutputParameters,
+    stage: type(default) for stage, default in Parameters() if stage != "preset"
 }
-
 
 # What `paper` sets apart from `default`, stage by stage.
 _PAPER: dict[str, dict[str, object]] = {
@@ -330,10 +320,6 @@ def parameters(preset: Preset = "default", settings: Settings | None = None) -> 
     settings : dict, optional
         Values by dotted name, ``{"dynamics.tolerance": 0.3}``.
 
-    Returns
-    -------
-    Parameters
-
     Raises
     ------
     ConfigError
@@ -341,14 +327,13 @@ def parameters(preset: Preset = "default", settings: Settings | None = None) -> 
     """
     if preset not in ("default", "paper"):
         raise ConfigError(f"unknown preset {preset!r}; there are 'default' and 'paper'")
-    tree: dict[str, dict[str, object]] = {}
     if settings is not None and not isinstance(settings, dict):
         raise ConfigError(
             f"settings must be a dict by dotted name, not {type(settings).__name__}: "
             '{"dynamics.tolerance": 0.3}'
         )
-    if preset == "paper":
-        tree = {stage: dict(values) for stage, values in _PAPER.items()}
+    changed = _PAPER if preset == "paper" else {}
+    tree: dict[str, dict[str, object]] = {stage: {**values} for stage, values in changed.items()}
     for name, value in (settings or {}).items():
         stage, _, key = name.partition(".")
         if not key or stage not in STAGES:
@@ -376,13 +361,7 @@ def given(values: Parameters | None) -> Parameters:
 
 
 def replaced(values: Parameters, settings: Settings) -> Parameters:
-    """Parameters with single values replaced.
-
-    Parameters
-    ----------
-    values : Parameters
-    settings : dict
-        Values by dotted name, as for :func:`parameters`.
+    """Parameters with single values replaced, by dotted name.
 
     Raises
     ------
@@ -391,25 +370,19 @@ def replaced(values: Parameters, settings: Settings) -> Parameters:
     """
     if not settings:
         return values
-    known = {
-        f"{stage}.{name}": value
-        for stage, of_stage in values.model_dump().items()
-        if stage != "preset"
-        for name, value in of_stage.items()
-    }
-    return parameters(values.preset, {**known, **settings})
+    return parameters(values.preset, {**_by_name(values), **settings})
 
 
 def departures(values: Parameters) -> dict[str, object]:
     """The values that differ from those of their preset, by dotted name."""
-    preset = parameters(values.preset).model_dump()
-    return {
-        f"{stage}.{name}": value
-        for stage, of_stage in values.model_dump().items()
-        if stage != "preset"
-        for name, value in of_stage.items()
-        if value != preset[stage][name]
-    }
+    preset = _by_name(parameters(values.preset))
+    return {name: value for name, value in _by_name(values).items() if value != preset[name]}
+
+
+def _by_name(values: Parameters) -> dict[str, object]:
+    """All values by dotted name."""
+    tree = values.model_dump(exclude={"preset"})
+    return {f"{stage}.{name}": v for stage, named in tree.items() for name, v in named.items()}
 
 
 def stored_parameters(tree: Any, file: Path | None = None) -> Parameters:

@@ -13,7 +13,8 @@ from docdepth.errors import ConfigError, RunError
 from docdepth.io.poses import write_kitti
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.plan import states
-from docdepth.pipeline.run import continue_run, render_again, run
+from docdepth.pipeline.render_again import render_again
+from docdepth.pipeline.run import continue_run, run
 from docdepth.pipeline.run_all import run_all
 from small_drive import SWEEPS, write_small_drive
 from walled_yard import straight

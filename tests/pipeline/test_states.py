@@ -24,7 +24,8 @@ from docdepth.pipeline import run_classify, run_odometry
 from docdepth.pipeline.cameras import virtual_camera
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.plan import require, states
-from docdepth.pipeline.run import continue_run, render_again, run
+from docdepth.pipeline.render_again import render_again
+from docdepth.pipeline.run import continue_run, run
 from docdepth.pipeline.run_inputs import known_poses, recording_of
 from small_drive import SPARSE, SWEEPS, write_image, write_small_drive, write_sweep
 from walled_yard import scan, straight

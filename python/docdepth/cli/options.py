@@ -14,8 +14,9 @@ import typer
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from docdepth._text import parse_settings
 from docdepth.cli.terminal import app, set_volume, volume
-from docdepth.config import DepthFormat, Layer, Preset, parse_settings, replaced
+from docdepth.config import DepthFormat, Layer, Preset, replaced
 from docdepth.datasets import experimental_formats, format_names
 from docdepth.errors import ConfigError
 from docdepth.evaluation.depth import Mode

@@ -36,7 +36,8 @@ from docdepth.pipeline import run_classify, run_odometry
 from docdepth.pipeline.cameras import virtual_camera
 from docdepth.pipeline.execution import Execution
 from docdepth.pipeline.plan import require
-from docdepth.pipeline.run import continue_run, render_again, run_stages
+from docdepth.pipeline.render_again import render_again
+from docdepth.pipeline.run import continue_run, run_stages
 from docdepth.pipeline.run_all import run_all
 from docdepth.pipeline.run_inputs import known_poses, open_recording
 from docdepth.render.backends import Renderer

@@ -117,11 +117,12 @@ class DepthFiles:
         output = self.parameters.output
         return read_depth(self.files(index)[output.format[0]], output.scale)
 
-    def write_camera(
-        self, poses: Trajectory, indices: NDArray[np.int64], tracks: Iterable[Track]
-    ) -> None:
+    def write_camera(self, trajectory: Trajectory, tracks: Iterable[Track]) -> None:
         """Write the calibration, the LiDAR's poses at the times of the images (paper V-A), and
         where the images show tracks."""
+        indices = np.array(sorted(self.images, key=lambda k: int(self.stream.times[k])))
+        times = self.stream.times[indices]
+        poses = Trajectory(times, trajectory.interpolate(times))
         stream, write = self.stream, self.run.writer({"render": self.key})
         folder = self.run.calibration_folder(self.folder)
         distortion = stream.distortion_coefficients

@@ -17,7 +17,7 @@ from docdepth.concurrency import Progress, Timer, null_progress
 from docdepth.datasets.base import CameraStream
 from docdepth.diagnostics.calibration import edges_of_images, judge
 from docdepth.diagnostics.results import check_density
-from docdepth.errors import DatasetError, Finding
+from docdepth.errors import DatasetError
 from docdepth.geometry.camera import View
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
@@ -278,7 +278,8 @@ def _render_cameras(
             profiles.append(profile)
             stage.remove_outdated()
             files.describe(complete=False)
-        _write_cameras(plan)
+        for files in plan.files:
+            files.write_camera(plan.trajectory, plan.tracks.values())
         kept, total = len(plan.images) - len(images), len(plan.images)
         progress("render", kept, total)
         work = partial(_render_images, renderer)
@@ -299,26 +300,13 @@ def _render_cameras(
             files.describe()
             profile.more["density"] = float(np.mean(files.shares()))
             profile.add(check_density(files.shares(), files.stream.name))
-            profile.more["calibration"], found = _check_calibration(plan, files)
-            profile.add(found)
-
-
-def _check_calibration(plan: RenderPlan, files: DepthFiles) -> tuple[str | None, list[Finding]]:
-    """What images say about the calibration."""
-    stream, done = files.stream, sorted(files.coverage)
-    if not stream.images or files.parameters.render.primitive == "splats":
-        return None, []  # splats reach over edges
-    path, tracks = files.run.path, plan.tracks
-    return judge(edges_of_images(path, stream, done, files.depth, plan.trajectory, tracks))
-
-
-def _write_cameras(plan: RenderPlan) -> None:
-    """Write calibration, interpolated poses (paper V-A) and tracks of each camera."""
-    for files in plan.files:
-        indices = np.array([image.index for image in plan.images if image.files is files])
-        times = files.stream.times[indices]
-        poses = Trajectory(times, plan.trajectory.interpolate(times))
-        files.write_camera(poses, indices, plan.tracks.values())
+            profile.more["calibration"] = None
+            # Splats reach over edges.
+            if files.stream.images and files.parameters.render.primitive != "splats":
+                done, poses, tracks = sorted(files.coverage), plan.trajectory, plan.tracks
+                edges = edges_of_images(run.path, files.stream, done, files.depth, poses, tracks)
+                profile.more["calibration"], found = judge(edges)
+                profile.add(found)
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from docdepth.concurrency import Progress
-from docdepth.config import Parameters, Settings, replaced
+from docdepth.config import Parameters
 from docdepth.datasets.base import Dataset
 from docdepth.errors import (
     DamagedFileError,
@@ -20,16 +19,13 @@ from docdepth.errors import (
     log_findings,
     raise_findings,
 )
-from docdepth.io.inputs import RunInputs, names_in
-from docdepth.io.manifest import CameraEntry, Keep, VirtualCamera
+from docdepth.io.inputs import RunInputs
+from docdepth.io.manifest import Keep
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.camera_fit import cameras_to_fit, fit_cameras
 from docdepth.pipeline.cameras import (
     RunCamera,
     add_cameras,
-    check_name,
-    open_cameras,
-    remove_undrawn_cameras,
     run_cameras,
 )
 from docdepth.pipeline.check import check_inputs, check_opened
@@ -40,14 +36,13 @@ from docdepth.pipeline.execution import (
     parameters_within_budget,
     within_memory,
 )
-from docdepth.pipeline.given_labels import open_labels, take_labels
+from docdepth.pipeline.given_labels import open_labels
 from docdepth.pipeline.odometry import run_odometry
-from docdepth.pipeline.plan import InputFiles, plan, require
+from docdepth.pipeline.plan import InputFiles, plan
 from docdepth.pipeline.render import run_render
-from docdepth.pipeline.run_inputs import known_poses, open_as_begun, open_inputs, recording_of
+from docdepth.pipeline.run_inputs import check_place, known_poses, open_as_begun, open_inputs
 from docdepth.pipeline.run_reader import Run
 from docdepth.pipeline.stage import Stage
-from docdepth.render.backends import Renderer
 from docdepth.visualization.report import index_is_whole
 
 log = logging.getLogger(__name__)
@@ -177,98 +172,13 @@ def continue_run(
     folder, execution = RunFolder.open(Path(output)), _execution(execution, options)
     if folder.manifest.inputs is None:
         raise RunError(f"{output} was not made of a recording; there is nothing to continue")
-    _check_place(folder)
+    check_place(folder)
     choose_kept(folder, execution.keep)
     with _all_problems(folder.inputs, folder.parameters, folder.path):
         opened = open_as_begun(folder.inputs, folder.manifest.derived)
     folder.manifest.derived = opened.derived
     _make(folder, opened.recording, execution)
     return folder
-
-
-def render_again(
-    output: Path | str,
-    changes: Settings | None = None,
-    camera: str | Sequence[str] | None = None,
-    virtual: tuple[str, VirtualCamera] | None = None,
-    *,
-    labels: Path | str | None = None,
-    threads: int = 0,
-    renderer: Renderer | None = None,
-    progress: Progress | None = None,
-) -> RunFolder:
-    """Render with other parameters, of further cameras of the recording, or of a virtual camera.
-
-    Parameters
-    ----------
-    output : Path
-        Run folder with up to date classes.
-    changes : dict, optional
-        Parameters of the stages ``render`` and ``output`` by dotted name. They belong to the named
-        cameras alone, or to the whole run if none is named.
-    camera : str or sequence of str, optional
-        Cameras of the recording to render; all cameras of the run if absent.
-    virtual : (str, VirtualCamera), optional
-        Name and description of a virtual camera, from :func:`virtual_camera`.
-    labels : Path, optional
-        Folder of labels of another method, which replace the classes of the run.
-    threads, renderer, progress
-        As for :func:`run`.
-
-    Raises
-    ------
-    RunError
-        Classes are missing or out of date.
-    ConfigError
-        A parameter is refused, or a virtual camera has the name of another.
-    """
-    folder = RunFolder.open(Path(output))
-    require(folder, "classify" if labels is None else "odometry")
-    _check_place(folder)
-    if labels is not None:
-        folder.manifest.inputs = folder.inputs.but(labels=labels)
-        open_labels(folder)
-    changes, recording = changes or {}, recording_of(folder)
-    named = _named_cameras(folder, recording, camera, virtual)
-    new = [name for name in named if f"render {name}" not in folder.manifest.stages]
-    if named:
-        for name in named:
-            entry = folder.cameras[name]
-            settings = {**entry.settings, **changes}
-            folder.cameras[name] = entry.model_copy(update={"settings": settings})
-    else:
-        folder.manifest.parameters = replaced(folder.parameters, changes)
-    cameras = run_cameras(folder, recording, named or None)
-    streams = [camera.stream for camera in cameras]
-    try:
-        if labels is not None:
-            take_labels(folder, progress)
-        run_render(folder, streams, threads, progress, renderer)
-    except DocDepthError:
-        remove_undrawn_cameras(folder.path, new)
-        raise
-    return folder
-
-
-def _named_cameras(
-    folder: RunFolder,
-    recording: Dataset,
-    camera: str | Sequence[str] | None,
-    virtual: tuple[str, VirtualCamera] | None,
-) -> list[str]:
-    """Names of the cameras that were asked for, which the run knows from now on."""
-    if virtual:
-        name, description = virtual
-        check_name(folder, name)
-        folder.cameras[name] = CameraEntry(folder=name, virtual=description)
-        return [name]
-    if camera is not None:
-        streams = open_cameras(folder.manifest.inputs, recording, names_in(camera))
-        add_cameras(folder, streams)
-        return [stream.name for stream in streams]
-    if not folder.cameras:
-        add_cameras(folder, list(recording.cameras.values()))
-    return []
 
 
 @contextmanager
@@ -279,17 +189,6 @@ def _all_problems(inputs: RunInputs, parameters: Parameters, output: Path) -> It
     except DocDepthError:
         raise_findings(check_inputs(inputs, parameters, output))
         raise
-
-
-def _check_place(folder: RunFolder) -> None:
-    """Refuse to go on without the recording."""
-    place = folder.recording_path
-    if place is not None and not place.exists():
-        raise RunError(
-            f"{place}, the recording of {folder.path}, is not there",
-            "if it was moved, say where it is now: "
-            f"`docdepth.run(recording, {str(folder.path)!r})`",
-        )
 
 
 def _follow_recording(folder: RunFolder, recording: Dataset) -> None:

@@ -26,7 +26,7 @@ from docdepth.datasets.views import TurningLidar, WithoutEgo
 from docdepth.diagnostics.own_vehicle import find_own_vehicle
 from docdepth.diagnostics.rotation import find_rotation, lacks_times
 from docdepth.diagnostics.sweeps import find_sensor_origin
-from docdepth.errors import CalibrationError, Finding, log_findings
+from docdepth.errors import CalibrationError, Finding, RunError, log_findings
 from docdepth.geometry.turn import Turn
 from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.inputs import Box, DerivedInputs, Point, RunInputs, SkippedFrames
@@ -105,6 +105,17 @@ def _opened(whole: Dataset, inputs: RunInputs, derived: DerivedInputs) -> Opened
 def open_recording(inputs: RunInputs, derived: DerivedInputs | None = None) -> Dataset:
     """Open the recording of a run."""
     return _part(_open_whole(inputs), inputs, derived or DerivedInputs())
+
+
+def check_place(folder: RunFolder) -> None:
+    """Refuse to go on without the recording."""
+    place = folder.recording_path
+    if place is not None and not place.exists():
+        raise RunError(
+            f"{place}, the recording of {folder.path}, is not there",
+            "if it was moved, say where it is now: "
+            f"`docdepth.run(recording, {str(folder.path)!r})`",
+        )
 
 
 def recording_of(run: RunFolder) -> Dataset:

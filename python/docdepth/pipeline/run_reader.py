@@ -267,8 +267,7 @@ class RunImages(Sequence["RunImage"]):
         """The camera as the recording has it; without photos where that is away."""
         folder = self.run.folder
         if self.is_away or folder.recording_path is None:
-            of = self.name, self.camera, self.T_camera_lidar, self.times, self.names
-            return CameraStream(*of)
+            return CameraStream(self.name, self.camera, self.T_camera_lidar, self.times, self.names)
         return run_cameras(folder, recording_of(folder), [self.name])[0].stream
 
     @cached_property
@@ -367,12 +366,7 @@ class RunImage:
 
 
 class ImageLayers(Mapping[str, NDArray[Any]]):
-    """The layers of an image: read where the run has stored them, else drawn, which takes longer.
-
-    Parameters
-    ----------
-    image : RunImage
-    """
+    """The layers of an image: read where the run has stored them, else drawn, which takes long."""
 
     def __init__(self, image: RunImage) -> None:
         self._image = image
