@@ -1,6 +1,7 @@
 // How high the ground is around an object. Road users stand on it, whatever is seen of them.
 #pragma once
 
+#include <cmath>
 #include <limits>
 #include <vector>
 
@@ -13,6 +14,8 @@ namespace docdepth {
 /// A height [m] and how wrong it may be [m]; infinite if nothing is known.
 struct GroundHeight {
   float value = 0, deviation = std::numeric_limits<float>::infinity();
+
+  bool is_known() const { return std::isfinite(deviation); }
 };
 
 /// The ground that one sweep saw, as mean heights of square cells around the LiDAR.

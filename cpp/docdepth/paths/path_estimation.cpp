@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "docdepth/detections/quantile.hpp"
+#include "docdepth/paths/shifted_path.hpp"
 #include "docdepth/tracking/constants.hpp"
 #include "docdepth/tracking/motion_filter.hpp"
 #include "docdepth/tracking/neighbors.hpp"
@@ -17,24 +18,6 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 using Position = Eigen::Vector3d;
-
-double wrapped(double angle) {
-  return std::remainder(angle, 2 * M_PI);
-}
-
-/// Direction of the longest horizontal extent of points.
-double longest_direction(const SampledPoints& points) {
-  Vector mean = Vector::Zero();
-  for (const Vector& p : points) mean += p / float(points.size());
-  Eigen::Matrix2d spread = Eigen::Matrix2d::Zero();
-  for (const Vector& p : points) {
-    const Eigen::Vector2d off = (p - mean).head<2>().cast<double>();
-    spread += off * off.transpose();
-  }
-  const Eigen::Vector2d axis =
-      Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d>(spread).eigenvectors().col(1);
-  return std::atan2(axis.y(), axis.x());
-}
 
 /// Whether most samples of a surface lie in triangles: those of others cannot be registered.
 bool has_normals(const SampledSurface& surface) {
@@ -57,10 +40,6 @@ bool lies_on(const SampledPoints& points, const SurfaceModel& model, const Pose&
   return 2 * inside >= points.size();
 }
 
-bool is_known(const GroundHeight& height) {
-  return std::isfinite(height.deviation);
-}
-
 /// A few normals that lean a little seem to tell the place by the height, which the ground tells.
 void separate_height(Eigen::Matrix3d& covariance) {
   covariance.block<2, 1>(0, 2).setZero();
@@ -69,7 +48,7 @@ void separate_height(Eigen::Matrix3d& covariance) {
 
 /// A measured position of what stands on the ground.
 MeasuredPosition grounded(MeasuredPosition seen, const GroundHeight& ground) {
-  if (!is_known(ground)) return seen;
+  if (!ground.is_known()) return seen;
   separate_height(seen.covariance);
   double& variance = seen.covariance(2, 2);
   const double share = variance / (variance + double(ground.deviation) * ground.deviation);
@@ -85,11 +64,6 @@ Extent extent_in(const SampledPoints& points, const Pose& T_world_object) {
   return box;
 }
 
-/// The heading of what moves, by its motion alone [rad].
-struct MotionHeading {
-  double value = 0, variance = std::numeric_limits<double>::infinity();
-};
-
 /// Of each observation: the position, and the heading as the first coordinate.
 struct Measurements {
   std::vector<MeasuredPosition> positions, headings;
@@ -102,9 +76,10 @@ class PathEstimation {
       : observations_(track.observations),
         surfaces_(surfaces),
         options_(options),
-        change_(options.horizontal_change, options.horizontal_change,
-                MotionFilter::kVerticalChange) {
-    for (const TrackObservation& seen : observations_) stamps_.push_back(times[seen.sweep]);
+        change_(acceleration_change(options)) {
+    ShiftedPath shifted = path_by_shifts(track, surfaces, times, options);
+    path_ = std::move(shifted.path);
+    headings_ = std::move(shifted.headings);
   }
 
   std::variant<Path, Cut> run();
@@ -115,9 +90,6 @@ class PathEstimation {
   ObservedSurface surface(int k) const {
     return surfaces_[k].deskewed(path_.states[k].velocity.cast<float>());
   }
-  void find_widths();
-  void measure_shifts();
-  void find_headings();
   void find_unmerged();
   std::optional<Cut> align_surfaces();
   int first_surface() const;
@@ -137,112 +109,16 @@ class PathEstimation {
   std::span<const ObservedSurface> surfaces_;  ///< of each observation, in the world
   PathOptions options_;
   Position change_;                      ///< of the acceleration in a second [m/s^2]
-  std::vector<double> stamps_;           ///< of the sweep of each observation [s]
   std::vector<MotionHeading> headings_;  ///< of each observation
   std::vector<std::uint8_t> unmerged_;   ///< whether an observation shows nothing but the object
   Path path_;
 };
 
 std::variant<Path, Cut> PathEstimation::run() {
-  find_widths();
-  measure_shifts();
-  find_headings();
   if (path_.rigid)
     if (const auto cut = align_surfaces()) return *cut;
   find_extents();
   return std::move(path_);
-}
-
-/// A pedestrian who touches a parked car is one object with it for some sweeps: little of that is
-/// transient.
-void PathEstimation::find_widths() {
-  const auto are_wide = [&](const std::vector<float>& widths) {
-    return widths.size() > 2 && quantile(widths, options_.rigid_quantile) >= kMinRigidWidth;
-  };
-  std::vector<float> widths, transient;
-  for (const TrackObservation& seen : observations_) {
-    widths.push_back(seen.box.width());
-    if (seen.is_mostly_transient()) transient.push_back(seen.box.width());
-  }
-  path_.wide_while_transient = transient.size() <= 2 || are_wide(transient);
-  path_.rigid = are_wide(2 * transient.size() >= widths.size() ? transient : widths);
-}
-
-/// Sum the horizontal shifts from sweep to sweep. Heights are those of the ground, or of the lowest
-/// points where no ground was seen.
-void PathEstimation::measure_shifts() {
-  std::vector<MeasuredPosition> measured;
-  Position at = Position::Zero();
-  path_.has_ground =
-      std::any_of(observations_.begin(), observations_.end(),
-                  [](const TrackObservation& seen) { return is_known(seen.ground); });
-  const float unsure =
-      float(path_.has_ground ? options_.hidden_deviation : options_.height_deviation);
-  for (int k = 0; k < count(); ++k) {
-    const TrackObservation& seen = observations_[k];
-    const GroundHeight height =
-        is_known(seen.ground) ? seen.ground : GroundHeight{seen.box.low.z(), unsure};
-    const Eigen::Vector3d deviation(options_.shift_deviation, options_.shift_deviation,
-                                    height.deviation);
-    const double time = stamps_[k] + seen.time_offset;
-    if (k == 0)
-      at = (0.5f * (seen.box.low + seen.box.high)).cast<double>();
-    else
-      at +=
-          (time - measured.back().time) / (stamps_[k] - stamps_[k - 1]) * seen.shift.cast<double>();
-    measured.push_back({time,
-                        {at.x(), at.y(), height.value},
-                        Eigen::Vector3d(deviation.cwiseAbs2()).asDiagonal()});
-  }
-  const auto motions = smooth_positions(measured, {measured.size(), change_});
-  const double middle = 0.5 * double(measured.size() - 1);
-  for (int k = 0; k < count(); ++k) {
-    const double drift =
-        options_.shift_drift * options_.shift_drift * std::fabs(double(k) - middle);
-    const double spread = motions[k].covariance.topLeftCorner<2, 2>().trace() + drift;
-    path_.states.push_back({.time = measured[k].time,
-                            .position = motions[k].position,
-                            .velocity = motions[k].velocity,
-                            .is_transient = observations_[k].is_transient,
-                            .independent_deviation = std::sqrt(spread),
-                            .deviation = std::sqrt(spread),
-                            .surface_deviation = std::sqrt(spread)});
-  }
-}
-
-/// Along the motion where it moves; where it stands, as it comes or goes.
-void PathEstimation::find_headings() {
-  const double least = path_.rigid ? options_.min_heading_speed : options_.min_heading_speed / 2;
-  headings_.assign(path_.states.size(), {});
-  std::vector<int> moving;
-  for (int k = 0; k < count(); ++k)
-    if (path_.states[k].velocity.head<2>().norm() >= least) moving.push_back(k);
-  if (moving.empty()) {
-    const double heading = longest_direction(surfaces_[0].points);
-    for (PathState& state : path_.states) state.heading = heading;
-    return;
-  }
-  for (const int k : moving) {
-    const Position& v = path_.states[k].velocity;
-    path_.states[k].heading = std::atan2(v.y(), v.x());
-    const double deviation =
-        std::hypot(options_.motion_heading_deviation, options_.creep / v.head<2>().norm());
-    headings_[k] = {path_.states[k].heading, deviation * deviation};
-    if (path_.rigid)  // people are upright uphill, too
-      path_.states[k].slope = std::clamp(std::atan2(v.z(), v.head<2>().norm()),
-                                         -MotionFilter::kSteepest, MotionFilter::kSteepest);
-  }
-  std::size_t next = 0;
-  for (int k = 0; k < count(); ++k) {
-    while (next + 1 < moving.size() && moving[next] < k) ++next;
-    int nearest = moving[next];
-    if (next > 0 && k - moving[next - 1] < std::abs(nearest - k)) nearest = moving[next - 1];
-    path_.states[k].heading = path_.states[nearest].heading;
-    path_.states[k].slope = path_.states[nearest].slope;
-  }
-  for (int k = 1; k < count(); ++k)
-    path_.states[k].heading = path_.states[k - 1].heading +
-                              wrapped(path_.states[k].heading - path_.states[k - 1].heading);
 }
 
 /// An observation that is wider than any vehicle shows what stands beside the object, too. Where
@@ -329,7 +205,7 @@ int PathEstimation::align_from(int first, int step, SurfaceModel& model, Measure
     motion.predict(state.time, change_);
     turn.predict(state.time, turn_change(k));
     const GroundHeight& ground = observations_[k].ground;
-    if (is_known(ground)) motion.update_height(ground.value, ground.deviation);
+    if (ground.is_known()) motion.update_height(ground.value, ground.deviation);
     Pose guess = upright_pose(motion.position(), turn.position().x(), state.slope);
     const bool found_it =
         lies_on(seen.points, model, guess) || follow_shifts(seen, model, k, last, T_last, guess);
@@ -355,7 +231,7 @@ int PathEstimation::align_from(int first, int step, SurfaceModel& model, Measure
     }
     set(measured, k, found, {.time = state.time, .heading = turn.position().x()});
     MeasuredPosition& position = measured.positions[k];
-    if (is_known(ground)) separate_height(position.covariance);
+    if (ground.is_known()) separate_height(position.covariance);
     if (!motion.expects(position)) position.covariance *= options_.outlier_factor;
     motion.update(position);
     turn.update(measured.headings[k]);

@@ -75,7 +75,7 @@ class RoadGrade {
  public:
   /// Take the ground under the next observation, forward or backward in time.
   void add(double time, const GroundHeight& ground) {
-    if (!std::isfinite(ground.deviation)) return;
+    if (!ground.is_known()) return;
     if (known_) {
       height_.predict(time, kChange);
       height_.update_height(ground.value, ground.deviation);
