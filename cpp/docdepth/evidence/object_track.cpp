@@ -26,6 +26,9 @@ constexpr float kMinQueueTransientShare = 0.9f;
 /// and this share was free before or after: 0.18 and more, where of pieces of fences that seem
 /// transient as a whole it is at most 0.08.
 constexpr float kMinQueueFreeShare = 0.13f;
+/// A vehicle that goes so many times its length is no fence or hedge, whatever hides its places:
+/// lorries that follow each other do.
+constexpr float kFarLengths = 3;
 /// An object that is never seen to move stands where for so long [s] this share of it was free, in
 /// the mean.
 constexpr double kFreeWindow = 2;
@@ -129,10 +132,15 @@ bool is_vehicle(const TrackPath& path) {
          size.z() >= kMinVehicleHeight;
 }
 
+bool drives_far(const TrackPath& path) {
+  return is_vehicle(path) && path.transient_distance() >= kFarLengths * path.extent().size().x();
+}
+
 bool moves(const ObjectTrack& object, const std::vector<double>& times,
            const TrackingOptions& options) {
   const auto& [track, path] = object;
-  if (track.transient_count < options.min_detections || sways(path) || is_porous(track))
+  if (track.transient_count < options.min_detections || sways(path) ||
+      (is_porous(track) && !drives_far(path)))
     return false;
   if (path.distance() >= options.min_distance &&
       path.transient_distance() >= kMinVotedDistanceShare * options.min_distance &&

@@ -40,6 +40,7 @@ TrackEvidence::TrackEvidence(ObjectTrack object, std::uint32_t number,
       options_(options),
       sweeps_(int(times.size())),
       is_rail_(is_rail(object_)),
+      drives_far_(drives_far(object_.path)),
       is_vehicle_((is_vehicle(object_.path) && object_.path.is_wide_while_transient()) ||
                   is_side_of_vehicle(object_)) {
   const auto& observations = object_.track.observations;
@@ -107,6 +108,7 @@ bool TrackEvidence::makes_dynamic(double time, const Detection& object, bool is_
                             (time > last_.time && !object.box.overlaps(last_.extent, 0));
   if (is_elsewhere) return is_member && object.was_free();
   const double known = std::clamp(time, first_.time, last_.time);
+  if (known == time && drives_over(object, time)) return true;
   if (is_member) return was_free(object, known, tracked);
   if (!lies_there(object, known, kSearchMargin) || !was_free(object, known, tracked)) return false;
   // Before it is first seen, and after it is last seen, something else may stand there.
@@ -145,6 +147,13 @@ bool TrackEvidence::lies_there(const Detection& object, double time, float margi
   const float bottom = box.middle().z() - box.half.z();
   return object.box.high.z() >= bottom + kMinTrackedHeight &&
          std::all_of(object.samples().begin(), object.samples().end(), inside);
+}
+
+/// Whether a detection lies where the track drives. Nothing that stands can be there, also where
+/// lorries that follow each other have hidden that the place was free.
+bool TrackEvidence::drives_over(const Detection& object, double time) const {
+  return drives_far_ && object_.path.speed(time) >= kSlow &&
+         lies_there(object, time, kObjectMargin);
 }
 
 /// Whether the place of a detection was free before or after: by its own votes, or as it was

@@ -60,6 +60,7 @@ class TrackEvidence {
 
   KnownPlace place_of(std::size_t observation) const;
   bool is_seen_to_move() const;
+  bool drives_over(const Detection& object, double time) const;
   bool lies_there(const Detection& object, double time, float margin) const;
   bool was_free(const Detection& object, double time, const std::vector<TrackedSweep>& tracked);
   bool is_of_vehicle(const Detection& object, const TrackedSweep& sweep) const;
@@ -75,6 +76,7 @@ class TrackEvidence {
   std::vector<double> stamps_;  ///< of the sweep of each observation [s]
   int sweeps_;                  ///< of the drive
   bool is_rail_;
+  bool drives_far_;
   bool is_vehicle_;      ///< or only the side of one is seen
   bool seen_to_move_;    ///< while the votes called it dynamic
   float supported_ = 0;  ///< area of static points that the track can make dynamic

@@ -12,12 +12,12 @@ constexpr std::size_t kSweeps = 60;
 
 /// A car that stands at x = 0 for 2 s, goes to x = 10 within a second, and stands there. While it
 /// goes its place is free before and after; of the places where it stands the votes tell `free`.
-double place(double t) {
+double place(double t, double distance = 10) {
   const double s = std::clamp(t - 2, 0.0, 1.0);
-  return s < 0.5 ? 20 * s * s : 10 - 20 * (1 - s) * (1 - s);
+  return distance * (s < 0.5 ? 2 * s * s : 1 - 2 * (1 - s) * (1 - s));
 }
 
-ObjectTrack car(float free) {
+ObjectTrack car(float free, double distance = 10) {
   Track track;
   Path path;
   path.rigid = true;
@@ -31,14 +31,13 @@ ObjectTrack car(float free) {
     seen.free_area = seen.transient_area = moves ? 10'000 : free * 10'000;
     seen.points = 100;
     seen.is_transient = moves;
-    seen.box = path.extent.moved({float(place(t)), 0, 0});
+    const double x = place(t, distance);
+    seen.box = path.extent.moved({float(x), 0, 0});
     track.transient_count += moves;
     track.observations.push_back(seen);
-    const double speed = moves ? (place(t + 0.01) - place(t - 0.01)) / 0.02 : 0;
-    path.states.push_back({.time = t,
-                           .position = {place(t), 0, 0},
-                           .velocity = {speed, 0, 0},
-                           .is_transient = moves});
+    const double speed = moves ? (place(t + 0.01, distance) - place(t - 0.01, distance)) / 0.02 : 0;
+    path.states.push_back(
+        {.time = t, .position = {x, 0, 0}, .velocity = {speed, 0, 0}, .is_transient = moves});
     path.extents.push_back(path.extent);
   }
   return {track, TrackPath(path, {})};
@@ -62,8 +61,8 @@ bool makes_dynamic(TrackEvidence of, double time, const Detection& object, bool 
 }
 
 /// Whether a car moves of which these shares are porous, transient, and free before or after.
-bool moves_if(float porous, float transient, float free) {
-  ObjectTrack object = car(0);
+bool moves_if(float porous, float transient, float free, double distance = 10) {
+  ObjectTrack object = car(0, distance);
   for (TrackObservation& seen : object.track.observations) {
     seen.porous_area = porous * seen.area;
     seen.transient_area = transient * seen.area;
@@ -81,6 +80,7 @@ TEST_CASE("what moves is not porous, or in a queue") {
   CHECK_FALSE(moves_if(0.7f, 0.75f, 0.2f));    // pickets
   CHECK_FALSE(moves_if(0.82f, 0.93f, 0.08f));  // a piece of a fence, by 128 beams
   CHECK_FALSE(moves_if(0.45f, 0.44f, 0.17f));  // a fence of KITTI 0013
+  CHECK(moves_if(0.66f, 0.55f, 0.11f, 20));    // a lorry with its trailer, several lengths on
 }
 
 TEST_CASE("a car that moves at some time is known before and after, where it stands") {
@@ -98,6 +98,17 @@ TEST_CASE("what was followed is dynamic where its place was free while the car w
   CHECK(makes_dynamic(evidence(), 1, seen_at(0, 0, 0.3f, 0, 21)));
   // Behind the place where the car stands at last something stands all the time.
   CHECK(!makes_dynamic(evidence(), 2.5, seen_at(place(2.5), 0, 0.3f, 0, int(kSweeps)), false));
+}
+
+TEST_CASE("where a vehicle drives that goes several lengths, nothing stands") {
+  const auto is_dynamic = [](double time, double x, double y) {
+    const TrackEvidence of{car(0, 20), 1, exact::stamps(kSweeps), {}};
+    return makes_dynamic(of, time, seen_at(x, y, 0), false);
+  };
+  CHECK(is_dynamic(2.5, place(2.5, 20), 0));
+  CHECK(!is_dynamic(2.5, place(2.5, 20), 0.5));  // half a metre beside it
+  CHECK(!is_dynamic(4, 20, 0));                  // where it stands: votes must tell
+  CHECK(!makes_dynamic(evidence(0), 2.5, seen_at(place(2.5), 0, 0)));
 }
 
 TEST_CASE("what a track was not followed through must lie in its box, and have been free") {
