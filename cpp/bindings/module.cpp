@@ -7,6 +7,7 @@ void bind_mesh(pybind11::module_& m);
 void bind_odometry(pybind11::module_& m);
 void bind_voting(pybind11::module_& m);
 void bind_objects(pybind11::module_& m);
+void bind_tracks(pybind11::module_& m);
 void bind_render(pybind11::module_& m);
 void bind_occupancy(pybind11::module_& m);
 }  // namespace docdepth::bindings
@@ -22,6 +23,7 @@ PYBIND11_MODULE(_core, m) {
   docdepth::bindings::bind_odometry(m);
   docdepth::bindings::bind_voting(m);
   docdepth::bindings::bind_objects(m);
+  docdepth::bindings::bind_tracks(m);
   docdepth::bindings::bind_render(m);
   docdepth::bindings::bind_occupancy(m);
 }

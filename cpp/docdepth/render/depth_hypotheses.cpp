@@ -6,9 +6,9 @@
 #include <functional>
 #include <utility>
 
-#include "docdepth/geometry/rigid.hpp"
 #include "docdepth/geometry/simd.hpp"
 #include "docdepth/render/shutter_rays.hpp"
+#include "docdepth/render/visibility_queries.hpp"
 
 namespace docdepth {
 namespace {
@@ -18,13 +18,8 @@ constexpr float kSameDepth = 0.04f;
 /// An edge is a second difference of inverse depth (0 on every plane) above this share of it.
 constexpr float kEdgeBend = 0.05f;
 
-// A ray that passes at distance d scores 1 / (d + blur)^2 [1/m^2], positive where it ended on a
-// surface and negative where it passed through.
+// Scores as of VisibilityQueries [1/m^2].
 
-/// One ray within a centimetre, or many farther off, prove free space.
-constexpr float kSureScore = 1000.0f;
-/// The same for a surface. It takes more, since a ray may end next to a gap.
-constexpr float kSureSurfaceScore = 1350.0f;
 /// One ray whose distance and blur add up to 10 cm, or many farther off. With a higher score a
 /// surface is extrapolated over an edge.
 constexpr float kCloseScore = 100.0f;
@@ -75,12 +70,6 @@ struct AddRows {
       add_row(inverse_depth + at, [&](int k) { return hypotheses[k] + at; });
     }
   }
-};
-
-/// A pixel with several depths, the nearest first; 0 if there is none.
-struct PixelHypotheses {
-  int u, v;
-  float hypotheses[DepthHypotheses::kMost];
 };
 
 /// Pixels [begin_u, end_u) x [begin_v, end_v).
@@ -142,65 +131,6 @@ DOCDEPTH_KERNEL Ints edges_of_row(const float* inverse_depth, int stride, bool a
     edges |= (other > here * more) | ((other > 0.0f) & (other * more < here));
   return edges;
 }
-
-/// Scores hypothesis k of pixels by the rays of one sweep after the other, until the score is sure.
-class VisibilityQueries {
- public:
-  VisibilityQueries(const Columns& columns, const Camera& camera,
-                    const std::vector<SweepRays>& rays)
-      : focal_(camera.fx, camera.fy),
-        centre_(float(camera.cx) - float(columns.begin), camera.cy),
-        rays_(rays) {
-    for (const auto& placed : rays) to_rays_.emplace_back(placed.T_camera_rays.inverse());
-  }
-
-  /// @param free    score below which free space is sure, without its sign
-  std::vector<float> score(const std::vector<PixelHypotheses>& pixels, int k,
-                           float free = kSureScore) const {
-    std::vector<float> result(pixels.size(), 0.0f);
-    for (std::size_t first = 0; first < pixels.size(); first += PointBatch::kMax)
-      score_batch(&pixels[first], std::min(pixels.size() - first, PointBatch::kMax), k, free,
-                  &result[first]);
-    return result;
-  }
-
- private:
-  void score_batch(const PixelHypotheses* pixels, std::size_t count, int k, float free,
-                   float* result) const {
-    Eigen::Vector3f targets[PointBatch::kMax];
-    for (std::size_t i = 0; i < count; ++i) {
-      const float depth = 1 / pixels[i].hypotheses[k];
-      targets[i] = {(float(pixels[i].u) - centre_.x()) / focal_.x() * depth,
-                    (float(pixels[i].v) - centre_.y()) / focal_.y() * depth, depth};
-    }
-    std::uint32_t open[PointBatch::kMax];  // targets whose score is not sure yet
-    for (std::uint32_t i = 0; i < count; ++i) open[i] = i;
-    float scores[PointBatch::kMax] = {};
-    PointBatch seen;
-    seen.size = count;
-    for (std::size_t j = 0; j < rays_.size() && seen.size > 0; ++j) {
-      for (std::size_t n = 0; n < seen.size; ++n) {
-        const Eigen::Vector3f p = to_rays_[j] * targets[open[n]];
-        seen.x[n] = p.x();
-        seen.y[n] = p.y();
-        seen.z[n] = p.z();
-      }
-      rays_[j].rays->query_visibility(seen, rays_[j].blur, scores);
-      std::size_t left = 0;
-      for (std::size_t n = 0; n < seen.size; ++n) {
-        result[open[n]] = scores[n];
-        if (scores[n] >= kSureSurfaceScore || scores[n] <= -free) continue;
-        open[left] = open[n];
-        scores[left++] = scores[n];
-      }
-      seen.size = left;
-    }
-  }
-
-  Eigen::Vector2f focal_, centre_;
-  const std::vector<SweepRays>& rays_;
-  std::vector<RigidTransform> to_rays_;
-};
 
 /// Pixels at an edge between two pixels of a tile, with their depth.
 std::vector<PixelHypotheses> find_edges(const Columns& columns, const std::vector<Tile>& tiles,
@@ -320,7 +250,7 @@ std::vector<float> DepthHypotheses::resolve(const Camera& camera,
         std::sort(pixel.hypotheses, pixel.hypotheses + kMost, std::greater<float>());
         pixels.push_back(pixel);
       }
-  const VisibilityQueries queries(columns_, camera, rays);
+  const VisibilityQueries queries(columns_.begin, camera, rays);
   std::vector<float> scores(result.size(),
                             INFINITY);  // of the result; infinite while it was not queried
   for (int k = 0; k < kMost && !pixels.empty(); ++k) {
@@ -347,7 +277,7 @@ void add_dynamic_object(const Columns& columns, const PixelBounds& bounds, const
                         const ObjectImages& object, const std::vector<SweepRays>& rays,
                         std::uint16_t number, std::vector<float>& inverse_depth,
                         std::vector<std::uint16_t>& shown_objects) {
-  const VisibilityQueries queries(columns, camera, rays);
+  const VisibilityQueries queries(columns.begin, camera, rays);
   std::vector<PixelHypotheses> seen, extrapolated;
   for (int v = bounds.begin_v; v < bounds.end_v; ++v)
     for (int u = bounds.begin_u; u < bounds.end_u; ++u) {

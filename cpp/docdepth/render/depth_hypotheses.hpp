@@ -7,6 +7,7 @@
 
 #include "docdepth/render/camera.hpp"
 #include "docdepth/render/rays.hpp"
+#include "docdepth/render/visibility_queries.hpp"
 
 namespace docdepth {
 
@@ -31,7 +32,7 @@ class DepthHypotheses {
  public:
   static constexpr int kTile = 8;     ///< edge of the square tiles that are open or closed [pixel]
   static constexpr int kStrip = 104;  ///< columns whose edges are found without their neighbours
-  static constexpr int kMost = 3;     ///< hypotheses kept for a pixel
+  static constexpr int kMost = kMostHypotheses;
 
   /// @param nearest    inverse depth of the nearest sweep
   /// @param extrapolated  of its surfaces beyond their last returns
