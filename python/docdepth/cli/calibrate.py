@@ -25,71 +25,79 @@ if TYPE_CHECKING:  # it needs an extra
     from docdepth.calibration.calibrate import Calibration
 
 
+_Board = Annotated[
+    str | None,
+    option(
+        "Outline of the board along the columns and along the rows, metres; the checkerboard "
+        "is in its middle.",
+        "WxH",
+    ),
+]
+_Output = Annotated[
+    Path | None,
+    option(
+        "Folder for the result, created; with --check for a picture, with --time for the times.",
+        "DIR",
+        "-o --output",
+    ),
+]
+_Check = Annotated[
+    bool,
+    option(
+        "RECORDING is a run: tell whether depth edges lie on edges of its images, and by how "
+        "much the calibration is off.",
+        flags="--check",
+    ),
+]
+_Time = Annotated[
+    bool,
+    option(
+        "RECORDING is a run: estimate by how much the clocks of camera and LiDAR differ.",
+        flags="--time",
+    ),
+]
+_Lens = Annotated[
+    str | None,
+    option(
+        "Estimate K and the distortion of such a lens: pinhole or fisheye. If absent, those of "
+        "the recording are taken, or those of a pinhole estimated if it has none.",
+        **one_of(("pinhole", "fisheye")),
+    ),
+]
+_Boxes = Annotated[
+    list[str] | None,
+    option(
+        "Least and greatest x, y and z of the board in the LiDAR frame, metres, of one image "
+        "or of all: where a wall or a person is too near behind it.",
+        "[IMAGE:]X,X,Y,Y,Z,Z",
+    ),
+]
+_Recording = Annotated[
+    Path,
+    typer.Argument(
+        metavar="RECORDING",
+        help="Images and sweeps of a checkerboard in 10 poses or more: a folder with "
+        "docdepth.yaml, or a bag. With --check and --time a run.",
+    ),
+]
+
+
 @verb()
 def calibrate(
-    recording: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RECORDING",
-            help="Images and sweeps of a checkerboard in 10 poses or more: a folder with "
-            "docdepth.yaml, or a bag. With --check and --time a run.",
-        ),
-    ],
+    recording: _Recording,
     corners: Annotated[
         str | None, option("Inner corners of the checkerboard: columns, rows.", "CxR")
     ] = None,
     square: Annotated[float | None, option("Side of a square, metres.", "M")] = None,
-    board: Annotated[
-        str | None,
-        option(
-            "Outline of the board along the columns and along the rows, metres; the checkerboard "
-            "is in its middle.",
-            "WxH",
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        option(
-            "Folder for the result, created; with --check for a picture, with --time for the "
-            "times.",
-            "DIR",
-            "-o --output",
-        ),
-    ] = None,
-    check: Annotated[
-        bool,
-        option(
-            "RECORDING is a run: tell whether depth edges lie on edges of its images, and by how "
-            "much the calibration is off.",
-            flags="--check",
-        ),
-    ] = False,
-    time: Annotated[
-        bool,
-        option(
-            "RECORDING is a run: estimate by how much the clocks of camera and LiDAR differ.",
-            flags="--time",
-        ),
-    ] = False,
+    board: _Board = None,
+    output: _Output = None,
+    check: _Check = False,
+    time: _Time = False,
     dataset: DatasetName = None,
     camera: Annotated[str | None, option("Camera; needed where there are several.", "NAME")] = None,
     frames: Annotated[str | None, option_of(RunInputs, "frames")] = None,
-    lens: Annotated[
-        str | None,
-        option(
-            "Estimate K and the distortion of such a lens: pinhole or fisheye. If absent, those of "
-            "the recording are taken, or those of a pinhole estimated if it has none.",
-            **one_of(("pinhole", "fisheye")),
-        ),
-    ] = None,
-    box: Annotated[
-        list[str] | None,
-        option(
-            "Least and greatest x, y and z of the board in the LiDAR frame, metres, of one image "
-            "or of all: where a wall or a person is too near behind it.",
-            "[IMAGE:]X,X,Y,Y,Z,Z",
-        ),
-    ] = None,
+    lens: _Lens = None,
+    box: _Boxes = None,
     as_json: Json = False,
 ) -> None:
     """Find K, the distortion and the place of a camera from a checkerboard.

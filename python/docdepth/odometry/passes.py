@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,15 +117,13 @@ def register(
         A sweep cannot be registered.
     """
     count, times = len(sweeps), sweeps.times
-    voxel = _FINE_VOXEL if known else parameters.voxel_size
-    sampling = None if known else 0.5 * parameters.voxel_size
-    neighbors = _FINE_NEIGHBORS if known else _NEIGHBORS
-    registration = LoggedRegistration(
-        Registration(voxel, sampling, neighbors, threads),
-        kept,
-        count,
-        parameters.max_range + voxel,
-    )
+    if known is None:
+        voxel = parameters.voxel_size
+        fresh = Registration(voxel, 0.5 * voxel, _NEIGHBORS, threads)
+    else:
+        voxel = _FINE_VOXEL
+        fresh = Registration(voxel, None, _FINE_NEIGHBORS, threads)
+    registration = LoggedRegistration(fresh, kept, count, parameters.max_range + voxel)
     period = float(np.median(np.diff(times))) if count > 1 else 1.0
     stamp_error = stamp_error_of(times)
     motion = np.eye(4) if first is None else first
@@ -140,24 +139,19 @@ def register(
             poses = known(min(k + NEIGHBORS, count - 1))
             motion = centred_motion(poses, times, [k])[0]
             guesses = [last @ inverse(poses[k - 1]) @ poses[k] if k else last]
-
-        def deskewed(k: int = k, motion: NDArray[np.float64] = motion) -> NDArray[np.float32]:
-            return deskewed_points(sweeps[k], sweeps.first + k, motion)
-
-        found = registration.align(k, deskewed, *guesses)
+        found = registration.align(k, partial(_deskewed, sweeps, k, motion), *guesses)
         if not np.isfinite(found.pose).all():
             raise OdometryError(
                 f"frame {sweeps.first + k} could not be registered",
                 "bring poses (`poses`) or try another odometry.voxel_size",
                 code="not-registered",
             )
-        if state is not None:
-            moved, way = found.pose[:3, 3] - last[:3, 3], 1e-9 * period * state.velocity
-            elapsed = time_gone(moved, way, elapsed, 1.0)
-        seconds = elapsed * period * 1e-9
         if state is None:
             state = first_state(found.pose, velocity)
         else:
+            moved, way = found.pose[:3, 3] - last[:3, 3], 1e-9 * period * state.velocity
+            elapsed = time_gone(moved, way, elapsed, 1.0)
+            seconds = elapsed * period * 1e-9
             state = filtered(state, found.pose, found.covariance, seconds, stamp_error)
         pose = state.pose
         off = np.linalg.norm(found.pose[:3, 3] - state.predicted[:3])
@@ -174,19 +168,27 @@ def register(
     if predicted and known is None:  # the other passes would say the same
         findings.append(_predicted_poses(predicted, count, parameters))
     if known is not None and disagreeing > _MAX_DISAGREEING * count:
-        text = (
-            f"{disagreeing} of {count} sweeps were registered more than {_DISAGREES} m from where "
-            "the motion led; perhaps the LiDAR sees little that stands still, traffic goes along, "
-            "or times are wrong; poses may be metres off"
-        )
-        remedy = "look at them, or bring better ones (`poses`)"
-        findings.append(Finding("registration-disagrees", "", text, remedy))
+        findings.append(_disagreement(disagreeing, count))
+
+
+def _deskewed(sweeps: SweepPart, index: int, motion: NDArray[np.float64]) -> NDArray[np.float32]:
+    return deskewed_points(sweeps[index], sweeps.first + index, motion)
 
 
 def _power(motion: NDArray[np.float64], share: float) -> NDArray[np.float64]:
     """The motion (4, 4) of a share of the time."""
     omega, velocity = se3_log(motion)
     return se3_exp(share * omega, share * velocity)
+
+
+def _disagreement(disagreeing: int, count: int) -> Finding:
+    text = (
+        f"{disagreeing} of {count} sweeps were registered more than {_DISAGREES} m from where the "
+        "motion led; perhaps the LiDAR sees little that stands still, traffic goes along, or times "
+        "are wrong; poses may be metres off"
+    )
+    remedy = "look at them, or bring better ones (`poses`)"
+    return Finding("registration-disagrees", "", text, remedy)
 
 
 def _predicted_poses(predicted: list[int], count: int, parameters: OdometryParameters) -> Finding:
