@@ -83,14 +83,11 @@ def test_tracks_are_read_as_they_were_kept(run):
     ]
     tracks = [track_of(7, 3), track_of(9, 1), track_of(2, 5)]
 
-    def find(take):
-        for sweep in sweeps:
-            take(sweep)
-        return tracks
-
     store = TrackStore(run, KEY, 6)
     assert not store.is_whole()
-    store.write(find)
+    for sweep in sweeps:
+        store.take(sweep)
+    store.write(tracks)
     assert store.is_whole()
     assert not TrackStore(run, {"classify": "2"}, 6).is_whole()
     assert not TrackStore(run, KEY, 7).is_whole()
@@ -111,12 +108,9 @@ def test_tracks_are_read_as_they_were_kept(run):
 
 
 def test_a_drive_without_moving_things_keeps_no_tracks(run):
-    def find(take):
-        take(TrackedSweep())
-        return []
-
     store = TrackStore(run, KEY, 1)
-    store.write(find)
+    store.take(TrackedSweep())
+    store.write([])
     assert store.is_whole()
     assert store.tracks() == []
     assert not store[0]
@@ -124,7 +118,7 @@ def test_a_drive_without_moving_things_keeps_no_tracks(run):
 
 def test_damaged_tracks_are_refused(run):
     store = TrackStore(run, KEY, 0)
-    store.write(lambda take: [track_of(7, 3)])
+    store.write([track_of(7, 3)])
     (paths,) = (run.state_dir / TRACKING).iterdir()
     whole = paths.read_bytes()
     paths.write_bytes(whole[:-3])

@@ -223,7 +223,10 @@ def _check_repeats(files: list[list[Path]], sizes: NDArray[np.int64]) -> list[Fi
     repeated = [
         k
         for k in (np.flatnonzero(np.diff(sizes) == 0) + 1).tolist()
-        if files[k - 1] and files[k] and _are_copies(files[k - 1][0], files[k][0])
+        if files[k - 1]
+        and files[k]
+        and files[k - 1][0] != files[k][0]  # a bag holds many sweeps
+        and cmp(files[k - 1][0], files[k][0], shallow=False)
     ]
     if not repeated:
         return []
@@ -234,10 +237,6 @@ def _check_repeats(files: list[list[Path]], sizes: NDArray[np.int64]) -> list[Fi
     )
     remedy = "copy the recording again, or remove the sweeps and their times"
     return [Finding("repeated-sweep", "", text, remedy)]
-
-
-def _are_copies(one: Path, other: Path) -> bool:
-    return one != other and cmp(one, other, shallow=False)  # a bag holds many sweeps
 
 
 def _more(count: int) -> str:

@@ -15,7 +15,7 @@ from docdepth.config import Parameters, given
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.dynamics.classes import DriveLabels, Labels
 from docdepth.dynamics.sweep_classifier import Evidence, SweepClassifier
-from docdepth.dynamics.tracking import TrackedSweep
+from docdepth.dynamics.tracking import TrackedSweep, track_objects
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import InputError
 from docdepth.geometry.lidar_frame import LidarFrame
@@ -81,11 +81,12 @@ def classify_drive(
     if classifier.uses_tracks:
         tracked: list[TrackedSweep] = []
         following = partial(progress or null_progress, "track")
-        tracks = classifier.track(
+        tracks = track_objects(
             store.detections.__getitem__,
+            trajectory,
             tracked.append,
-            lambda done: following(done, len(every)),
             threads,
+            lambda done: following(done, len(every)),
         )
         classifier.label_by_tracks(store, tracked, every, lambda done: None)
     labels = DriveLabels(store.labels[i] for i in every)

@@ -16,18 +16,15 @@ from docdepth.config import DynamicsParameters
 from docdepth.dynamics import voting
 from docdepth.dynamics.classes import Labels, classify, cluster_objects
 from docdepth.dynamics.tracking import (
-    TakeSweep,
     TrackedSweep,
     label_by_tracks,
     local_poses,
-    track_objects,
     withdraw_untracked,
 )
 from docdepth.dynamics.voting import KeyFrame, KeyFrames, Votes
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.scan_mesh import ScanMesh
-from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 
 _FILE_THREADS = 5
@@ -93,7 +90,7 @@ class SweepClassifier:
     Attributes
     ----------
     uses_tracks : bool
-        Whether classes wait for :meth:`track`, which needs the detections of all sweeps.
+        Whether classes wait for tracks, which need the detections of all sweeps.
     """
 
     def __init__(
@@ -226,24 +223,6 @@ class SweepClassifier:
         kept = Labels(classid, Votes(votes.static, votes.dynamic))
         evidence = Evidence(kept, objects, occupancy.porous)
         return writers.submit(store.store_evidence, index, evidence, detections)
-
-    def track(
-        self,
-        read: Callable[[int], _core.Detections],
-        take: TakeSweep,
-        progress: Callable[[int], None],
-        threads: int = 0,
-    ) -> list[Track]:
-        """Track objects through the drive, as :func:`track_objects` does.
-
-        ``progress`` is called with the share that is done, in sweeps.
-        """
-
-        def done(share: float) -> None:
-            progress(int(share * len(self._trajectory)))
-
-        with self._timer("tracks"):
-            return track_objects(read, self._trajectory, take, threads, done)
 
     def label_by_tracks(
         self,

@@ -120,7 +120,7 @@ def track_objects(
     trajectory: Trajectory,
     take: TakeSweep,
     threads: int = 0,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[int], None] = lambda done: None,
 ) -> list[Track]:
     """Track dynamic objects through the drive, to find them also where votes do not.
 
@@ -157,7 +157,7 @@ def track_objects(
     threads : int
         0 for all cores. The result does not depend on it.
     progress : callable, optional
-        Called with the share that is done, from 0 to 1.
+        Called with the number of sweeps that are done.
 
     Returns
     -------
@@ -173,8 +173,7 @@ def track_objects(
             take(TrackedSweep(*sweep))
 
         def tell(share: float, part: range = part) -> None:
-            if progress:
-                progress((part.start + share * len(part)) / len(trajectory))
+            progress(int(part.start + share * len(part)))
 
         times = trajectory.times[part.start : part.stop]
         objects = _core.track_objects(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from docdepth.concurrency import Progress, Timer, null_progress
 from docdepth.diagnostics.results import check_classes
 from docdepth.dynamics.sweep_classifier import SweepClassifier
+from docdepth.dynamics.tracking import track_objects
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground.growing import Chunk, chunks, label_chunk
 from docdepth.io.run_folder import RunFolder, stage_key
@@ -120,15 +121,15 @@ def _classify(
 
     map_chunks("votes", without, lambda done: report("classify", kept + done, len(every)))
     if finds_tracks:
-        classifier = SweepClassifier(trajectory, parameters, timer)
-        store.tracks.write(
-            lambda take: classifier.track(
+        with timer("tracks"):
+            tracks = track_objects(
                 store.detections,
-                take,
-                lambda done: report("track", done, len(every)),
+                trajectory,
+                store.tracks.take,
                 workers.threads,
+                lambda done: report("track", done, len(every)),
             )
-        )
+        store.tracks.write(tracks)
     if by_tracks:
         map_chunks("tracks", left, lambda done: None)
 

@@ -22,7 +22,7 @@ from docdepth.geometry.camera import View
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import check_format
-from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.cameras import RunCamera, add_cameras, camera_parameters
 from docdepth.pipeline.depth_files import DepthFiles
@@ -202,13 +202,14 @@ def run_render(
     renderer, workers = renderer or Renderer(), workers or WorkerPool(threads)
     with run.lock("render"):
         add_cameras(run, streams)
-        cameras = [
-            RunCamera(s, run.cameras[s.name].folder, camera_parameters(run, s.name))
-            for s in streams
-        ]
+        drawn_alike: dict[str, list[RunCamera]] = {}  # share sweeps; others are drawn one by one
+        for s in streams:
+            parameters = camera_parameters(run, s.name)
+            camera = RunCamera(s, run.cameras[s.name].folder, parameters)
+            drawn_alike.setdefault(parameters.render.model_dump_json(), []).append(camera)
         left_out: list[str] = []
-        before = _profiles(run)
-        for alike in _drawn_alike(cameras):
+        before = dict(run.manifest.stages)
+        for alike in drawn_alike.values():
             plan = plan_render(run, alike, stages)
             _render_cameras(plan, workers, progress or null_progress, renderer)
             left_out += [
@@ -216,7 +217,7 @@ def run_render(
                 for name, images in plan.left_out.items()
                 for image in images
             ]
-        if before != _profiles(run) or not index_is_whole(run):
+        if before != run.manifest.stages or not index_is_whole(run):
             opened = {stream.name: stream for stream in streams}
             others = {} if run.cameras.keys() <= opened.keys() else cameras_at_hand(run)
             write_report(run, others | opened)
@@ -246,18 +247,6 @@ def report(run: RunFolder) -> Path:
         require(run, f"render {name}")
     with run.lock("report"):
         return write_report(run, cameras_at_hand(run))
-
-
-def _profiles(run: RunFolder) -> str:
-    return stage_key({n: e.model_dump() for n, e in run.manifest.stages.items()})
-
-
-def _drawn_alike(cameras: list[RunCamera]) -> list[list[RunCamera]]:
-    """Cameras with the same drawing parameters share frames; others are drawn one by one."""
-    groups: dict[str, list[RunCamera]] = {}
-    for camera in cameras:
-        groups.setdefault(camera.parameters.render.model_dump_json(), []).append(camera)
-    return list(groups.values())
 
 
 def _render_cameras(

@@ -276,11 +276,20 @@ def _save_done(folder: RunFolder, stages: Sequence[Stage]) -> None:
 
 
 def _delete_frames(folder: RunFolder) -> None:
-    """Delete the frames of a run that is done, if only its results are to stay."""
+    """Delete the frames of a run that is done if only its results are to stay, or what an
+    interrupted command left of them."""
     folders = folder.frame_path(0).parent, folder.classes_path(0).parent
-    if folder.manifest.keep == "results" and any(folder.records(f).names() for f in folders):
-        with folder.lock("run"):
-            delete_frames(folder)
+    if folder.manifest.keep != "results" or not any(folder.records(f).names() for f in folders):
+        return
+    with folder.lock("run"):
+        keys = {name: folder.stage(name).key for name in ("odometry", "classify")}
+        folder.manifest.frames_deleted = keys
+        folder.save()  # before the first is gone: a run that is interrupted here misses none
+        for where in folders:
+            records = folder.records(where)
+            for name in records.names():
+                folder.remove(where / name)
+            records.compact()
 
 
 def _without_newly_broken(folder: RunFolder) -> Dataset | None:
@@ -303,14 +312,3 @@ def choose_kept(run: RunFolder, keep: Keep | None) -> None:
     run.manifest.keep = keep or run.manifest.keep
     if run.manifest.keep != "results":
         run.manifest.frames_deleted = None  # so its frames are missing
-
-
-def delete_frames(run: RunFolder) -> None:
-    """Delete the frames of a run that is done, or what an interrupted command left of them."""
-    run.manifest.frames_deleted = {name: run.stage(name).key for name in ("odometry", "classify")}
-    run.save()  # before the first is gone: a run that is interrupted here misses none
-    for folder in run.frame_path(0).parent, run.classes_path(0).parent:
-        records = run.records(folder)
-        for name in records.names():
-            run.remove(folder / name)
-        records.compact()

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import count
 from pathlib import Path
 from threading import Lock
 from typing import Any, overload
@@ -17,7 +17,7 @@ from docdepth.concurrency import Timer
 from docdepth.diagnostics.results import count_classes
 from docdepth.dynamics.classes import Labels
 from docdepth.dynamics.sweep_classifier import Evidence
-from docdepth.dynamics.tracking import TakeSweep, TrackedSweep
+from docdepth.dynamics.tracking import TrackedSweep
 from docdepth.dynamics.voting import Votes
 from docdepth.errors import DamagedFileError, InputError
 from docdepth.geometry.lidar_frame import LidarFrame
@@ -84,7 +84,7 @@ class TrackStore(Sequence[TrackedSweep]):
 
     def __init__(self, run: RunFolder, key: dict[str, str], count: int) -> None:
         self._run, self._key, self._count = run, key, count
-        self._paths = run.state_dir / TRACKING / "paths.npz"
+        self._paths, self._numbers = run.state_dir / TRACKING / "paths.npz", itertools.count()
 
     def __len__(self) -> int:
         return self._count
@@ -104,15 +104,13 @@ class TrackStore(Sequence[TrackedSweep]):
         files = (sweep_file(self._run, TRACKING, k) for k in range(len(self)))
         return all(self._run.key(file) == self._key for file in (self._paths, *files))
 
-    def write(self, find: Callable[[TakeSweep], list[Track]]) -> None:
-        """Write what ``find`` hands over sweep by sweep, and the tracks that it returns."""
-        numbers = count()
+    def take(self, sweep: TrackedSweep) -> None:
+        """Write what tracks found in the next sweep."""
+        path = sweep_file(self._run, TRACKING, next(self._numbers))
+        write_arrays(self._run, path, self._key, sweep._asdict())
 
-        def take(sweep: TrackedSweep) -> None:
-            path = sweep_file(self._run, TRACKING, next(numbers))
-            write_arrays(self._run, path, self._key, sweep._asdict())
-
-        tracks = find(take)
+    def write(self, tracks: Sequence[Track]) -> None:
+        """Write the tracks, when all sweeps are taken."""
         arrays = {name: np.array([getattr(t, name) for t in tracks]) for name in _OF_TRACK}
         arrays["length"] = np.array([len(t) for t in tracks], np.int64)
         for name in _OF_POSES if tracks else ():
