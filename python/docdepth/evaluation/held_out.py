@@ -209,10 +209,8 @@ def evaluate_held_out(
         sums.add(view.depth[compared] - truth, truth, unknown, view.clear[compared], moving)
         both = compared & ~np.isnan(view.depth)
         for row, chosen in enumerate((both, both & view.clear)):
-            pixels = np.flatnonzero(chosen)
-            clouds = (
-                points_of(views.camera.K, depth, pixels) for depth in (view.truth, view.depth)
-            )
+            K, pixels = views.camera.K, np.flatnonzero(chosen)
+            clouds = (points_of(K, depth, pixels) for depth in (view.truth, view.depth))
             distances[row] += cloud_distance(*clouds)
         if look:
             look(view)
