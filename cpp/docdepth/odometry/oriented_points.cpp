@@ -16,17 +16,18 @@ Eigen::Vector3f normal_of(const std::vector<Eigen::Vector3f>& points,
                           const std::vector<std::uint32_t>& nearest) {
   // From one of the points: far from the origin, the squares would lose what tells the plane.
   const Eigen::Vector3f origin = points[nearest[0]];
-  const std::size_t count = nearest.size();
-  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  Eigen::Matrix3d outer = Eigen::Matrix3d::Zero();
-  for (std::size_t i = 0; i < count; ++i) {
-    const Eigen::Vector3d p = (points[nearest[i]] - origin).cast<double>();
-    sum += p;
-    for (int column = 0; column < 3; ++column)  // the solver reads no more
-      for (int row = column; row < 3; ++row) outer(row, column) += p[row] * p[column];
+  double x = 0, y = 0, z = 0, xx = 0, xy = 0, xz = 0, yy = 0, yz = 0, zz = 0;
+  for (const std::uint32_t row : nearest) {
+    const Eigen::Vector3d p = (points[row] - origin).cast<double>();
+    x += p.x(), y += p.y(), z += p.z();
+    xx += p.x() * p.x(), xy += p.x() * p.y(), xz += p.x() * p.z();
+    yy += p.y() * p.y(), yz += p.y() * p.z(), zz += p.z() * p.z();
   }
+  const Eigen::Vector3d sum(x, y, z);
+  Eigen::Matrix3d outer;
+  outer << xx, xy, xz, xy, yy, yz, xz, yz, zz;
   Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver;
-  solver.computeDirect(outer - sum * sum.transpose() / static_cast<double>(count));
+  solver.computeDirect(outer - sum * sum.transpose() / static_cast<double>(nearest.size()));
   return solver.eigenvectors().col(0).cast<float>();
 }
 
