@@ -181,17 +181,18 @@ def smoothed(states: Iterable[State]) -> Iterator[NDArray[np.float64]]:
     for state in states:
         window.append(state)
         if len(window) > LAG:
-            yield _smoothed_poses(window)[0]
+            yield _smoothed_poses(window, 1)[0]
             window.popleft()
     if window:
-        yield from _smoothed_poses(window)
+        yield from _smoothed_poses(window, len(window))
 
 
-def _smoothed_poses(window: deque[State]) -> list[NDArray[np.float64]]:
+def _smoothed_poses(window: deque[State], wanted: int) -> list[NDArray[np.float64]]:
+    """The first poses of a window."""
     states = list(window)
     means = [states[-1].mean]
     for state, after in zip(states[-2::-1], states[:0:-1], strict=True):
         gain = np.linalg.solve(after.predicted_covariance, after.transition @ state.covariance).T
         means.append(state.mean + gain @ (means[-1] - after.predicted))
-    known = zip(states, reversed(means), strict=True)
+    known = zip(states[:wanted], means[: -wanted - 1 : -1], strict=True)
     return [_moved(state.pose, mean[:3], state.lean) for state, mean in known]
