@@ -10,7 +10,6 @@ import logging
 import os
 import socket
 import time
-import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from isal import isal_zlib
 
 from docdepth.errors import RunError
 
@@ -118,7 +118,7 @@ def checksum(path: Path) -> int:
     found = 0
     with path.open("rb") as stream:
         while data := stream.read(_CHUNK):
-            found = zlib.crc32(data, found)
+            found = isal_zlib.crc32(data, found)
     return found
 
 
