@@ -7,6 +7,7 @@
 
 #include "../objects.hpp"
 #include "docdepth/paths/path_estimation.hpp"
+#include "docdepth/paths/shifted_path.hpp"
 #include "docdepth/paths/track_path.hpp"
 
 using namespace docdepth;
@@ -46,6 +47,29 @@ Place straight(double speed) {
 }
 
 }  // namespace
+
+TEST_CASE("by shifts alone, what moves heads along its way, and what stands has no known heading") {
+  const Seen car(20, straight(10), 4.4f, 1.8f);
+  const ShiftedPath driven = path_by_shifts(car.track, car.surfaces, car.times, {});
+  REQUIRE(driven.path.states.size() == 20);
+  REQUIRE(driven.headings.size() == 20);
+  CHECK(driven.path.rigid);
+  for (std::size_t k = 0; k < 20; ++k) {
+    const PathState& state = driven.path.states[k];
+    CHECK(state.velocity.x() == doctest::Approx(10).epsilon(0.02));
+    CHECK(std::fabs(state.velocity.y()) < 0.1);
+    CHECK(std::fabs(state.heading) < 0.02);
+    CHECK(driven.headings[k].value == state.heading);
+    CHECK(driven.headings[k].variance < 0.05);
+  }
+  const Seen parked(20, straight(0), 4.4f, 1.8f);
+  const ShiftedPath standing = path_by_shifts(parked.track, parked.surfaces, parked.times, {});
+  for (std::size_t k = 0; k < 20; ++k) {
+    CHECK(std::isinf(standing.headings[k].variance));
+    CHECK(standing.path.states[k].heading == standing.path.states[0].heading);
+    CHECK(standing.path.states[k].velocity.norm() < 0.01);
+  }
+}
 
 TEST_CASE("a car that drives straight on") {
   const auto found = Seen(20, straight(10), 4.4f, 1.8f).estimate();
