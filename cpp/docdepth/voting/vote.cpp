@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cstddef>
 #include <limits>
 #include <optional>
 #include <stdexcept>
@@ -81,7 +82,6 @@ class Batch {
   void find(const BlockPoints& query, std::size_t begin, const KeyFrame& key_frame,
             const RigidTransform& T_key_query, bool ground) {
     key_frame_ = &key_frame;
-    begin_ = begin;
     ground_ = ground;
     size_ = std::min(QueryPoints::kMax, query.size() - begin);
     dispatch<MovePoints>(size_, &query.x[begin], &query.y[begin], &query.z[begin], T_key_query, x_,
@@ -89,17 +89,14 @@ class Batch {
     key_frame.find(points(), pixels_);
   }
   void vote(std::uint16_t* statics, std::uint16_t* dynamics) const {
-    key_frame_->vote(points(), pixels_, statics + begin_, dynamics + begin_);
+    key_frame_->vote(points(), pixels_, statics, dynamics);
   }
-
-  std::size_t begin() const { return begin_; }
-  std::size_t end() const { return begin_ + size_; }
 
  private:
   QueryPoints points() const { return {size_, x_, y_, z_, range_, ground_}; }
 
   const KeyFrame* key_frame_;
-  std::size_t begin_, size_;
+  std::size_t size_;
   bool ground_;
   float x_[QueryPoints::kMax], y_[QueryPoints::kMax], z_[QueryPoints::kMax],
       range_[QueryPoints::kMax];
@@ -109,53 +106,65 @@ class Batch {
 /// No road user is where another one was so soon before [s]: not even in dense traffic.
 constexpr double kMinHeadway = 1;
 
-/// The votes on points so far, and what they say in order of time.
+/// As wide as the other values of a point, so that many points are looked at at once.
+using Flag = std::uint16_t;
+constexpr Flag kTrue = 0xffff;
+DOCDEPTH_KERNEL Flag flag(bool value) {
+  return value ? kTrue : 0;
+}
+DOCDEPTH_KERNEL std::uint16_t chosen(Flag flag, std::uint16_t yes, std::uint16_t no) {
+  return (flag & yes) | (~flag & no);
+}
+
+/// The votes on a batch of points so far, and what they say in order of time.
 struct Tally {
-  std::vector<std::uint16_t> statics, dynamics, seen_statics, seen_dynamics, first, last;
-  std::vector<std::uint8_t> was_occupied, was_left;  ///< was_left: free since it was occupied
-  std::vector<std::uint8_t> in_turn, porous;
-  std::vector<float> time;  ///< when it was occupied last [s after the sweep]
+  static constexpr std::size_t kMax = QueryPoints::kMax;
 
-  explicit Tally(std::size_t count)
-      : statics(count),
-        dynamics(count),
-        seen_statics(count),
-        seen_dynamics(count),
-        first(count, Votes::kNever),
-        last(count, Votes::kNever),
-        was_occupied(count),
-        was_left(count),
-        in_turn(count),
-        porous(count),
-        time(count) {}
+  std::uint16_t statics[kMax] = {}, dynamics[kMax] = {};
+  std::uint16_t seen_statics[kMax] = {}, seen_dynamics[kMax] = {};
+  std::uint16_t first[kMax], last[kMax];
+  std::uint16_t turn[kMax] = {};                      ///< of what found it occupied last
+  Flag was_occupied[kMax] = {}, was_left[kMax] = {};  ///< was_left: free since it was occupied
+  Flag in_turn[kMax] = {}, porous[kMax] = {};
 
-  /// Take note of the votes of a key frame on [begin, end).
-  /// @param seconds  of it, after the sweep
-  void note(std::size_t begin, std::size_t end, std::uint16_t key_frame, float seconds) {
-    for (std::size_t i = begin; i < end; ++i) {
-      const bool occupied = statics[i] != seen_statics[i], free = dynamics[i] != seen_dynamics[i];
-      seen_statics[i] = statics[i];
-      seen_dynamics[i] = dynamics[i];
-      if (occupied) {
-        note_occupied(i, seconds);
-        if (first[i] == Votes::kNever) first[i] = key_frame;
-        last[i] = key_frame;
-      }
-      was_left[i] |= free & was_occupied[i];
+  Tally() {
+    std::fill_n(first, kMax, Votes::kNever);
+    std::fill_n(last, kMax, Votes::kNever);
+  }
+
+  /// The sweep itself found all its points occupied.
+  /// @param now     its turn
+  /// @param recent  the first turn within kMinHeadway before it
+  void note_sweep(std::uint16_t now, std::uint16_t recent) {
+    for (std::size_t i = 0; i < kMax; ++i) {
+      in_turn[i] |= was_left[i];
+      porous[i] |= was_left[i] & flag(turn[i] >= recent);
+      was_occupied[i] = kTrue;
+      was_left[i] = 0;
+      turn[i] = now;
     }
   }
-  /// The sweep itself found all its points occupied.
-  void note_sweep(std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) note_occupied(i, 0);
-  }
+};
 
- private:
-  void note_occupied(std::size_t i, float seconds) {
-    in_turn[i] |= was_left[i];
-    porous[i] |= was_left[i] & (seconds - time[i] <= float(kMinHeadway));
-    was_occupied[i] = 1;
-    was_left[i] = 0;
-    time[i] = seconds;
+/// Take note of the votes of a key frame.
+struct NoteVotes {
+  DOCDEPTH_KERNEL static void run(std::uint16_t key_frame, std::uint16_t now, std::uint16_t recent,
+                                  Tally& of) {
+    for (std::size_t i = 0; i < Tally::kMax; ++i) {
+      const Flag occupied = flag(of.statics[i] != of.seen_statics[i]);
+      const Flag free = flag(of.dynamics[i] != of.seen_dynamics[i]);
+      const Flag again = occupied & of.was_left[i];
+      of.seen_statics[i] = of.statics[i];
+      of.seen_dynamics[i] = of.dynamics[i];
+      of.in_turn[i] |= again;
+      of.porous[i] |= again & flag(of.turn[i] >= recent);
+      const Flag is_first = occupied & flag(of.first[i] == Votes::kNever);
+      of.first[i] = chosen(is_first, key_frame, of.first[i]);
+      of.last[i] = chosen(occupied, key_frame, of.last[i]);
+      of.turn[i] = chosen(occupied, now, of.turn[i]);
+      of.was_occupied[i] |= occupied;
+      of.was_left[i] = (of.was_left[i] & ~occupied) | (free & of.was_occupied[i]);
+    }
   }
 };
 
@@ -184,13 +193,14 @@ class Voters {
             const std::vector<std::size_t>& chosen, int weight, int threads, Votes& votes) const {
     parallel_for(rows.size(), kVoteBlock, threads, [&](std::size_t begin, std::size_t end) {
       const BlockPoints query = columns_of(points, rows, begin, end);
-      const Tally tally = tally_of(query, of_ground, chosen);
-      for (std::size_t i = 0; i < query.size(); ++i) {
-        const std::size_t row = query.index[i];
+      const std::vector<Tally> tallies = tally_of(query, of_ground, chosen);
+      for (std::size_t k = 0; k < query.size(); ++k) {
+        const Tally& tally = tallies[k / Tally::kMax];
+        const std::size_t row = query.index[k], i = k % Tally::kMax;
         votes.statics[row] = static_cast<std::uint16_t>(weight * tally.statics[i]);
         votes.dynamics[row] = static_cast<std::uint16_t>(weight * tally.dynamics[i]);
         votes.occupied_once[row] = tally.dynamics[i] > 0 && !tally.in_turn[i];
-        votes.porous[row] = tally.porous[i];
+        votes.porous[row] = tally.porous[i] != 0;
         votes.first_occupied[row] = tally.first[i];
         votes.last_occupied[row] = tally.last[i];
       }
@@ -198,29 +208,44 @@ class Voters {
   }
 
  private:
-  Tally tally_of(const BlockPoints& query, bool of_ground,
-                 const std::vector<std::size_t>& chosen) const {
-    Tally tally(query.size());
+  std::vector<Tally> tally_of(const BlockPoints& query, bool of_ground,
+                              const std::vector<std::size_t>& chosen) const {
+    const std::size_t count = (query.size() + QueryPoints::kMax - 1) / QueryPoints::kMax;
+    std::vector<Tally> tallies(count);
     const auto is_earlier = [&](std::size_t k) { return seconds_[k] < 0; };
     const auto earlier = std::size_t(std::count_if(chosen.begin(), chosen.end(), is_earlier));
-    const std::size_t batch_count = (query.size() + QueryPoints::kMax - 1) / QueryPoints::kMax;
+    // What looks in turn: key frames [s after the sweep], and the sweep itself among them.
+    std::vector<float> seconds;
+    for (const std::size_t k : chosen) seconds.push_back(float(seconds_[k]));
+    seconds.insert(seconds.begin() + std::ptrdiff_t(earlier), 0.0f);
+    std::vector<std::uint16_t> recent;  // the first turn within kMinHeadway before each
+    for (auto now = seconds.begin(); now != seconds.end(); ++now) {
+      const auto is_near = [&](float time) { return *now - time <= float(kMinHeadway); };
+      const auto near = std::find_if(seconds.begin(), now + 1, is_near);  // without times none
+      recent.push_back(static_cast<std::uint16_t>(near - seconds.begin()));
+    }
+    const auto note_sweep = [&](Tally& tally) {
+      tally.note_sweep(std::uint16_t(earlier), recent[earlier]);
+    };
     Batch batches[2];
-    for (std::size_t n = 0; n <= batch_count * chosen.size(); ++n) {
+    for (std::size_t n = 0; n <= count * chosen.size(); ++n) {
       Batch& next = batches[n % 2];
       const Batch& last = batches[1 - n % 2];
-      if (n < batch_count * chosen.size()) {
-        const std::size_t k = chosen[n / batch_count];
-        next.find(query, n % batch_count * QueryPoints::kMax, *key_frames_[k], T_key_query_[k],
+      if (n < count * chosen.size()) {
+        const std::size_t k = chosen[n / count];
+        next.find(query, n % count * QueryPoints::kMax, *key_frames_[k], T_key_query_[k],
                   of_ground);
       }
       if (n == 0) continue;
-      last.vote(tally.statics.data(), tally.dynamics.data());
-      const std::size_t of = (n - 1) / batch_count, k = chosen[of];
-      if (of == earlier) tally.note_sweep(last.begin(), last.end());
-      tally.note(last.begin(), last.end(), std::uint16_t(k), float(seconds_[k]));
+      Tally& tally = tallies[(n - 1) % count];
+      last.vote(tally.statics, tally.dynamics);
+      const std::size_t of = (n - 1) / count, turn = of + (of >= earlier);
+      if (of == earlier) note_sweep(tally);
+      dispatch<NoteVotes>(std::uint16_t(chosen[of]), std::uint16_t(turn), recent[turn], tally);
     }
-    if (earlier >= chosen.size()) tally.note_sweep(0, query.size());
-    return tally;
+    if (earlier >= chosen.size())
+      for (Tally& tally : tallies) note_sweep(tally);
+    return tallies;
   }
 
   const std::vector<const KeyFrame*>& key_frames_;
