@@ -1,9 +1,9 @@
 """Feed changed files to the readers: ``python benchmarks/fuzz.py OUT [READER ...] --seconds 60``.
 
 ``python benchmarks/fuzz.py OUT --runs 1000`` changes a finished run folder in so many random ways,
-as a stranger might: links to elsewhere, other types, sizes and names, values of run.yaml, records,
-arrays and images. A verb works on each. Whatever ends otherwise than in a result or one error, or
-touches a file outside of the folder, is a find.
+as a stranger might: links to elsewhere, other types, sizes and names, values and tags of run.yaml,
+records, arrays and images. A verb works on each. Whatever ends otherwise than in a result or one
+error, or touches a file outside of the folder, is a find.
 
 Atheris (``pip install atheris``) changes small files byte by byte and keeps what reaches new lines
 of docdepth. Whatever ends otherwise than in a result or an error of docdepth is a find: another
@@ -101,11 +101,19 @@ VERBS = (
     "evaluate depth RUN --truth RUN", "evaluate trajectories RUN --poses RUN/traj_odometry.ply",
     "convert RUN OUT --to label", "convert RUN OUT --to proj_depth", "convert RUN OUT --to tum",
     "convert RUN OUT --to nerfstudio", "convert RUN OUT --to occupancy", "inspect RUN",
+    "convert RUN OUT --to mcap", "video RUN", "run RUN --keep results", "check RUN",
 )  # fmt: skip
 EVIL: tuple[Any, ...] = (
     "../outside", "../../outside/kept.txt", "/etc/passwd", ".", "..", "", "a/b", "x" * 5000, "\0",
     "\x1b[31mred", "\udcff", -1, 0, 1e308, 10**30, float("nan"), True, None, [], {}, [[]], "nan",
 )  # fmt: skip
+TAGS = (
+    '!!float ""', '!!int "x"', "!!binary '*'", "!!timestamp 9999-99-99", "!!python/name:os.system",
+    "!!python/object/apply:os.system [touch ../outside/tag]", "!!set {a, b}", "!!omap [a: 1]",
+    "!unknown 1", "&a [*a, *a]", "*nowhere", "!!null x", "!!bool 3", "0x" + "f" * 5000, "[" * 5000,
+    "<<: 3", "1:" * 2000 + "1", ".inf", "2001-01-01", "? ? 1", "%TAG ! x", "\u2028", "---\n3",
+)  # fmt: skip
+"""What stands for a value in YAML and is none."""
 
 
 def changed(run: Path, outside: Path, rng: random.Random) -> str:
@@ -114,7 +122,8 @@ def changed(run: Path, outside: Path, rng: random.Random) -> str:
     # Few files decide more than many frames.
     deciding = [f for f in entries if f.suffix in (".yaml", ".json") or "records" in f.parts]
     path = rng.choice(deciding if deciding and rng.random() < 0.5 else entries)
-    way = rng.choice(["link", "type", "size", "bytes", "other", "value", "value", "value"])
+    ways = ["link", "type", "size", "bytes", "other", "name", "value", "value", "value"]
+    way = rng.choice([*ways, "tag", "tag"] if path.suffix == ".yaml" else ways)
     told = f"{way} {path.relative_to(run)}"
     if way == "link":
         target = rng.choice([outside, outside / "kept.txt", run.parent, path, Path("/dev/zero")])
@@ -126,14 +135,28 @@ def changed(run: Path, outside: Path, rng: random.Random) -> str:
         makers: list[Callable[[], Any]] = [path.mkdir, path.touch, lambda: os.mkfifo(path), dict]
         rng.choice(makers)()
         return told
+    if way == "name":
+        name = rng.choice([path.name + ".old", "\x1b[31mred", "x" * 200, "ä \udcff", "-"])
+        to = path.with_name(name)
+        path.rename(to) if not os.path.lexists(to) else None
+        return f"{told} -> {to.name!r}"
     if not path.is_file() or path.is_symlink():
         return told
+    if way == "size" and rng.random() < 0.3:
+        path.unlink()
+        os.link(outside / "kept.txt", path)
+        return f"{told}, a hard link"
     content = path.read_bytes()
     if way == "size":
         kept = rng.randrange(len(content) + 1)
         path.write_bytes(rng.choice([content[:kept], content * 3, content + bytes(1 << 16), b""]))
     elif way == "other":
         path.write_bytes(rng.choice([e for e in entries if e.is_file()]).read_bytes())
+    elif way == "tag":
+        scalars = list(re.finditer(rb"(?<=: ).+", content))
+        at, tag = rng.choice(scalars).span() if scalars else (0, 0), rng.choice(TAGS)
+        path.write_bytes(content[: at[0]] + tag.encode() + content[at[1] :])
+        told += f" {tag[:40]}"
     elif way == "value" and path.suffix in (".yaml", ".json"):
         values = yaml.safe_load(content)
         told += f" {_change_value(values, rng)}"
