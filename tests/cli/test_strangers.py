@@ -117,6 +117,18 @@ def test_nothing_in_a_run_leads_elsewhere(docdepth, copies, tmp_path, place, mak
     assert (tmp_path / "kept" / "frames").is_dir()
 
 
+@pytest.mark.parametrize("name", [".docdepth/records/frames.jsonl", "frames/.x.ply.part"])
+def test_what_is_added_to_has_no_second_name(docdepth, copies, tmp_path, name):
+    above, run = copies
+    (kept := tmp_path / "kept").write_text("of somebody else")
+    (run / name).unlink(missing_ok=True)
+    os.link(kept, run / name)
+    ended = docdepth("run", above, "-o", run, "--force")
+    assert ended.code == 2
+    assert f"{run / name} is a second name of another file" in ended.err
+    assert kept.read_text() == "of somebody else"
+
+
 REFUSED = {"check", "demo", "doctor", "evaluate", "parameters", "status", "view"}
 """Verbs that write nothing of their own, or no file that is there."""
 

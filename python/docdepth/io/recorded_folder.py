@@ -31,7 +31,8 @@ def check_entries(folder: Path) -> None:
     """Refuse a folder that holds anything but files and folders of its own.
 
     A run may come from a stranger. A link in it would have files elsewhere read, replaced or
-    deleted, and a device or a pipe read without end.
+    deleted, and a device or a pipe read without end. Files that docdepth adds to, rather than put
+    another in their place, have no second name elsewhere.
 
     Raises
     ------
@@ -44,13 +45,21 @@ def check_entries(folder: Path) -> None:
     for entry in entries:
         if entry.is_dir(follow_symlinks=False):
             check_entries(Path(entry))
-        elif not entry.is_file(follow_symlinks=False):
-            what = "a link" if entry.is_symlink() else "no regular file"
+        elif what := _what_else(entry):
             raise RunError(
                 f"{entry.path} is {what}",
                 "a run holds files of its own alone: put the file or folder itself there, or "
                 "delete it",
             )
+
+
+def _what_else(entry: os.DirEntry[str]) -> str:
+    """What an entry is if it is no file that may be in a run."""
+    if not entry.is_file(follow_symlinks=False):
+        return "a link" if entry.is_symlink() else "no regular file"
+    added_to = STATE_DIR in Path(entry).parts or entry.name.startswith(".")
+    shared = added_to and entry.stat(follow_symlinks=False).st_nlink > 1
+    return "a second name of another file" if shared else ""
 
 
 class StagedFile(NamedTuple):

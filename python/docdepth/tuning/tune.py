@@ -18,6 +18,7 @@ from docdepth.concurrency import Progress, null_progress
 from docdepth.config import Parameters
 from docdepth.errors import ConfigError, RunError
 from docdepth.io.atomic import write_atomically
+from docdepth.io.recorded_folder import STATE_DIR
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline.cameras import add_cameras, run_cameras
 from docdepth.pipeline.classify import run_classify
@@ -31,8 +32,8 @@ from docdepth.tuning.trials import LABELS, Objective, Trial
 _TRIALS = ".docdepth-trials"
 """Folder of the trials' run folders, which are deleted: nothing of the user's may lie there."""
 
-_NOT_SHARED = ("run.yaml", "lock", "records", "odometry", "map")
-"""Odometry's checkpoints belong to its parameters; records and run.yaml are copied."""
+_NOT_SHARED = ("run.yaml", "lock", "odometry", "map")
+"""Odometry's checkpoints belong to its parameters; run.yaml is written anew."""
 
 
 def tune(
@@ -190,7 +191,7 @@ class _Task:
     def _begin(self, path: Path, source: RunFolder) -> RunFolder:
         """A copy of the run with the trial's parameters, which shares the files of its results.
 
-        The run is only read: a stage never writes into a file but puts another in its place.
+        The run is only read: a stage never writes into a result but puts another in its place.
         """
         shutil.rmtree(path, ignore_errors=True)
         root, state = source.path.resolve(), source.state_dir.resolve()
@@ -200,8 +201,6 @@ class _Task:
 
         shutil.copytree(root, path, copy_function=_linked, ignore=not_shared)
         trial = RunFolder(path)
-        if (state / "records").is_dir():
-            shutil.copytree(state / "records", trial.state_dir / "records")
         changes = {"trial": self.key, "parameters": self.parameters}
         trial.manifest = source.manifest.model_copy(update=changes, deep=True)
         settings, preset = self.trial.settings, "preset" in self.trial.settings
@@ -253,8 +252,9 @@ def _run_tasks(tasks: list[_Task], jobs: int, total: int, progress: Progress | N
 
 
 def _linked(source: str, copy: str) -> None:
-    """Give a file another name, or copy it to another disk."""
-    try:
-        os.link(source, copy)
-    except OSError:
-        shutil.copy2(source, copy)
+    """Give a result another name; copy what docdepth adds to, and to another disk."""
+    if STATE_DIR not in Path(source).parts:
+        with contextlib.suppress(OSError):
+            os.link(source, copy)
+            return
+    shutil.copy2(source, copy)
