@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from pathlib import Path
 
@@ -11,12 +12,14 @@ import pytest
 from formats import WRITERS
 from made_up import DRIVE
 
+import docdepth
 from docdepth.datasets import open_dataset
 from docdepth.errors import (
     CalibrationError,
     Collector,
     ConfigError,
     DatasetError,
+    DocDepthError,
     SeveralProblems,
 )
 
@@ -113,16 +116,39 @@ def test_links_beside_a_sweep_that_lead_nowhere_are_named(copy: Path, name: str)
         recording.labels(2) if "labels" in name else recording.sweep(2)
 
 
+@pytest.mark.parametrize("name", ["calib.txt", "times.txt", "velodyne/000002.bin", "docdepth.yaml"])
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")])
+def test_pipes_and_devices_are_no_files(copy: Path, name: str, make) -> None:
+    (copy / name).unlink(missing_ok=True)
+    make(copy / name)
+    with pytest.raises(DocDepthError, match=rf"{name} .*cannot be read \(it is no regular file\)"):
+        open_dataset(copy).sweep(2)
+
+
+def test_files_of_others_are_opened_in_one_place() -> None:
+    """Which refuses what is no regular file."""
+    package = Path(docdepth.__file__).parent
+    found = {
+        str(file.relative_to(package))
+        for file in package.rglob("*.py")
+        if re.search(r"\.read_bytes\(\)|\.read_text\(|\.open\(\"rb?\"", file.read_text())
+    }
+    # These read /proc, scripts of the package, and what they wrote.
+    assert found == {
+        "concurrency.py", "pipeline/execution.py", "visualization/page.py", "synthetic/writer.py"
+    }  # fmt: skip
+
+
 def test_files_that_may_not_be_read(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Who runs the tests as root may read all.
-    read = Path.read_bytes
+    opened = os.open
 
-    def refuse(path: Path) -> bytes:
-        if path.name == "calib.txt":
+    def refuse(path: Path, *more: int) -> int:
+        if Path(path).name == "calib.txt":
             raise PermissionError(13, "Permission denied", str(path))
-        return read(path)
+        return opened(path, *more)
 
-    monkeypatch.setattr(Path, "read_bytes", refuse)
+    monkeypatch.setattr(os, "open", refuse)
     with pytest.raises(CalibrationError, match=r"calib.txt may not be read.*permissions"):
         open_dataset(copy)
 

@@ -61,3 +61,15 @@ def test_a_pickle_that_would_run_a_program(pandaset: Path, tmp_path: Path) -> No
     with pytest.raises(DatasetError, match=r"01\.pkl\.gz \(frame 1\) .*it asks for .*no table"):
         open_dataset(pandaset).sweep(1)
     assert not (tmp_path / "ran").exists()
+
+
+def test_tables_of_other_sizes_and_types(pandaset: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    file = pandaset / "lidar" / "01.pkl.gz"
+    file.write_bytes(gzip.compress(bytes(1 << 29), 1))
+    with pytest.raises(DatasetError, match=r"01\.pkl\.gz \(frame 1\) .*more than 256 MB"):
+        open_dataset(pandaset).sweep(1)
+    columns = {name: np.arange(3.0) for name in "xyzitd"}
+    file.write_bytes(gzip.compress(pickle.dumps(pandas.DataFrame({**columns, 9: [{}, [], ""]}))))
+    with pytest.raises(DatasetError, match=r"01\.pkl\.gz \(frame 1\) .*column 9|asks for"):
+        open_dataset(pandaset).sweep(1)

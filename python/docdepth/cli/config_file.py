@@ -12,6 +12,7 @@ from docdepth.config import STAGES, Preset, departures, parameters
 from docdepth.errors import ConfigError
 from docdepth.io.inputs import RunInputs
 from docdepth.io.manifest import RunManifest
+from docdepth.io.opened import read_text
 
 
 class RunConfigFile(NamedTuple):
@@ -41,7 +42,7 @@ def read_config(path: Path) -> RunConfigFile:
         The file cannot be read, has another structure, or a value is refused.
     """
     try:
-        tree = read_yaml(path.read_text(encoding="utf-8"))
+        tree = read_yaml(read_text(path))
     except (OSError, ValueError, yaml.YAMLError) as error:
         of_yaml = explain_yaml(error) if isinstance(error, yaml.YAMLError) else str(error)
         why = error.strerror if isinstance(error, OSError) else of_yaml

@@ -27,6 +27,7 @@ from docdepth.datasets.times import times_of_names
 from docdepth.errors import DamagedFileError, DatasetError, InputError, RunError
 from docdepth.geometry.se3 import poses_from, quaternion_to_matrix
 from docdepth.io.npy import ArrayError, read_array
+from docdepth.io.opened import open_file, read_file
 from docdepth.io.pcd import PcdError, read_pcd, read_pcd_header
 from docdepth.io.ply import read_vertices
 
@@ -60,7 +61,7 @@ def read_cloud(file: Path, where: str, rows: RowFormat) -> Cloud:
 
 def _kind(file: Path) -> str:
     """The suffix that goes with how a file begins, else its own: people rename files."""
-    with file.open("rb") as stream:
+    with open_file(file) as stream:
         start = stream.read(8)
     fitting = (kind for begin, kind in _BEGINNINGS.items() if start.startswith(begin))
     return next(fitting, file.suffix.lower())
@@ -99,7 +100,7 @@ def _read_ply(file: Path, where: str, rows: RowFormat) -> Cloud:
 
 
 def _read_bin(file: Path, where: str, rows: RowFormat) -> Cloud:
-    content = file.read_bytes()
+    content = read_file(file)
     step = np.dtype(rows.dtype).itemsize * len(rows.columns)
     if not content or len(content) % step:
         raise DatasetError(

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import CalibrationError, DatasetError, DocDepthError, MissingExtraError
 from docdepth.io.images import decode_image
+from docdepth.io.opened import read_file
 from docdepth.io.yaml_json import parse_json
 
 _Opened = TypeVar("_Opened")
@@ -60,15 +61,16 @@ def unreadable(
         return DatasetError(f"{where} is a link to {file.readlink()}, which is missing; {remedy}")
     if isinstance(error, PermissionError):
         return DatasetError(f"{where} may not be read by you; change its permissions")
-    if error is not None and file.exists():
-        return DatasetError(f"{where} cannot be read ({error.strerror}); {remedy}")
+    if file.exists():
+        why = "it is no regular file" if error is None else error.strerror
+        return DatasetError(f"{where} cannot be read ({why}); {remedy}")
     return DatasetError(f"{where} is missing; {remedy}")
 
 
 def read_bytes(file: Path, remedy: str, where: str = "") -> bytes:
     """The content of a file, which errors name by ``where`` if it is given."""
     try:
-        return file.read_bytes()
+        return read_file(file)
     except OSError as error:
         raise unreadable(file, remedy, error, where) from None
 

@@ -20,6 +20,7 @@ from docdepth.datasets.files import (
 from docdepth.diagnostics.alignment import find_misalignment
 from docdepth.diagnostics.sweeps import of_broken, sample
 from docdepth.errors import Collector, DatasetError, Finding, collected
+from docdepth.io.opened import open_file, read_text
 
 _IMAGES = 6  # that are opened
 _TAIL = 64  # bytes at the end of an image that hold its mark
@@ -85,7 +86,7 @@ def _is_odd(image: ImageSource, size: tuple[int, int]) -> bool:
     """Whether a PNG or JPEG lacks its end, or a PNG is of another size: worth opening."""
     if not isinstance(image, Path):
         return False
-    with image.open("rb") as stream:
+    with open_file(image) as stream:
         head = stream.read(24)
         stream.seek(max(image.stat().st_size - _TAIL, 0))
         tail = stream.read()
@@ -206,5 +207,5 @@ def _extrinsics_of(recording: Dataset) -> str:
     if raw.is_file():
         return f"R and T in {raw}"
     described = settings_file(recording.path)
-    given = is_there(described) and "T_camera_lidar" in described.read_text(encoding="utf-8")
+    given = is_there(described) and "T_camera_lidar" in read_text(described)
     return f"T_camera_lidar in {described}" if given else f"the calibration of {recording.path}"

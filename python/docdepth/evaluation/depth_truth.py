@@ -17,6 +17,7 @@ from docdepth.geometry.camera import below_horizon
 from docdepth.geometry.points import MOVING_LABELS
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.npy import ArrayError, read_array, read_arrays
+from docdepth.io.opened import read_text
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.convert import INSIDE
 
@@ -167,7 +168,7 @@ class DepthTruth:
         if not file.is_file():
             return (made[1] - true[1]) // 2, made[0] - true[0]
         try:
-            values = np.array(file.read_text().split(), np.float64).reshape(3, 3)
+            values = np.array(read_text(file).split(), np.float64).reshape(3, 3)
         except ValueError:
             raise DatasetError(
                 f"{file} does not hold the nine numbers of a camera matrix"

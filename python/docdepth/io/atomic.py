@@ -21,6 +21,7 @@ import numpy as np
 from isal import isal_zlib
 
 from docdepth.errors import RunError
+from docdepth.io.opened import open_file
 
 log = logging.getLogger(__name__)
 
@@ -116,7 +117,7 @@ def npz_bytes(*, compressed: bool = False, **arrays: Any) -> bytes:
 def checksum(path: Path) -> int:
     """CRC-32 of the content of a file."""
     found = 0
-    with path.open("rb") as stream:
+    with open_file(path) as stream:
         while data := stream.read(_CHUNK):
             found = isal_zlib.crc32(data, found)
     return found

@@ -15,6 +15,7 @@ from docdepth.errors import CalibrationError, InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import check_rigid
 from docdepth.io.atomic import WriteFile, write_atomically
+from docdepth.io.opened import read_text
 from docdepth.io.yaml_json import parse_json
 
 INTRINSICS = "calib.json"
@@ -163,7 +164,7 @@ def _camera_and_place(
 def _read(file: Path, parse: Callable[[str], _Parsed], remedy: str) -> _Parsed:
     """What a file holds, in the form that ``parse`` gives it."""
     try:
-        found = parse(file.read_text())
+        found = parse(read_text(file))
     except FileNotFoundError:
         raise CalibrationError(f"{file} is missing; {remedy}") from None
     except OSError as error:

@@ -17,6 +17,7 @@ from docdepth.errors import DamagedFileError, DatasetError, InputError
 from docdepth.io.atomic import write_atomically
 from docdepth.io.images import decode_image, encode_exr, encode_png, import_exr, read_exr
 from docdepth.io.npy import ArrayError, read_array, read_arrays
+from docdepth.io.opened import read_file, read_text
 from docdepth.io.yaml_json import parse_json
 
 FORMATS = {  # from the least to the most exact
@@ -225,7 +226,7 @@ def described_maps(folder: Path) -> dict[str, tuple[int, float]]:
     """
     path = folder / DESCRIPTION
     try:
-        maps = parse_json(path.read_text())["maps"]
+        maps = parse_json(read_text(path))["maps"]
         return {name: (int(m["time_ns"]), float(m["coverage"])) for name, m in maps.items()}
     except FileNotFoundError:
         return {}
@@ -243,7 +244,7 @@ def _scale_beside(path: Path) -> float:
     if not beside.is_file():
         return PNG_SCALE
     try:
-        return float(parse_json(beside.read_text())["scale"]["png"])
+        return float(parse_json(read_text(beside))["scale"]["png"])
     except (KeyError, TypeError, ValueError) as error:
         raise DatasetError(
             f"{beside} does not tell the scale of {path.name} ({error!r}); render again"
@@ -268,7 +269,7 @@ def _encode_png(depth: NDArray[np.float32], scale: float) -> bytes:
 
 def _decoded(path: Path) -> NDArray[Any]:
     # Decoded from memory: of a missing file OpenCV would complain on stderr.
-    pixels = decode_image(path.read_bytes(), cv2.IMREAD_UNCHANGED)
+    pixels = decode_image(read_file(path), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise DatasetError(f"{path} is not a readable image; delete it and render again")
     return pixels

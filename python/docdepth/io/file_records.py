@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from docdepth.errors import RunError
 from docdepth.io.atomic import Written, checksum
+from docdepth.io.opened import open_file
 from docdepth.io.yaml_json import parse_json
 
 FileState = Literal["whole", "damaged", "missing", "unknown"]
@@ -61,7 +62,7 @@ class FileRecords:
     def read_on(self) -> bool:
         """Read the lines that were added since; False if the file is another one by now."""
         try:
-            with self.path.open("rb") as stream:
+            with open_file(self.path) as stream:
                 known = os.fstat(stream.fileno())
                 if self._inode and (
                     self._inode != known.st_ino or self._bytes_read > known.st_size

@@ -14,6 +14,7 @@ from isal import isal_zlib
 from numpy.typing import NDArray
 
 from docdepth.errors import DatasetError, MissingExtraError, RunError
+from docdepth.io.opened import read_file
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _JPEG, _END = b"\xff\xd8", b"\xff\xd9"
@@ -151,7 +152,7 @@ def encode_exr(depth: NDArray[np.float32], dtype: np.dtype[Any]) -> bytes:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "depth.exr"
             OpenEXR.File(header, {"Y": depth.astype(dtype)}).write(str(path))
-            return path.read_bytes()
+            return read_file(path)
     except (OSError, RuntimeError) as error:  # OpenEXR writes to files only
         raise RunError(
             f"cannot write an EXR to {tempfile.gettempdir()}: {error}; make room there or set "

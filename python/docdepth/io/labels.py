@@ -23,6 +23,7 @@ from docdepth.geometry.points import (
 )
 from docdepth.io.atomic import WriteFile, write_atomically
 from docdepth.io.npy import ArrayError, read_array
+from docdepth.io.opened import read_file
 from docdepth.io.pcd import PcdError, read_pcd
 
 LABEL_FORMATS = ("label", "classid", "pcd")
@@ -114,7 +115,7 @@ def read_labels(file: Path, points: int, frame: int) -> NDArray[np.uint32]:
         The file is missing or damaged, or has another number of labels.
     """
     try:
-        content = file.read_bytes()
+        content = read_file(file)
     except OSError as error:
         raise DatasetError(f"{file} (frame {frame}) cannot be read: {error.strerror}") from None
     if len(content) % 4:

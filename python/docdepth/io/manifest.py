@@ -13,6 +13,7 @@ from docdepth.config import Parameters, stored_parameters
 from docdepth.errors import ConfigError, RunError
 from docdepth.io.file_records import is_file_name
 from docdepth.io.inputs import Checked, DerivedInputs, RunInputs
+from docdepth.io.opened import read_text
 from docdepth.io.yaml_json import parse_yaml
 
 Keep = Literal["frames", "results"]
@@ -225,7 +226,7 @@ def read_manifest(path: Path) -> RunManifest | None:
         A parameter is refused: someone has changed it.
     """
     try:
-        tree = parse_yaml(path.read_text(encoding="utf-8"))
+        tree = parse_yaml(read_text(path))
     except (OSError, ValueError):
         return None
     if not isinstance(tree, dict) or not {"parameters", "stages"} <= tree.keys():

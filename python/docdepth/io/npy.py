@@ -13,6 +13,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError
+from docdepth.io.opened import open_file
 
 _LONGEST_HEADER = 10_000  # bytes
 _MOST_PACKED = 1100  # times as large as its compressed bytes; deflate packs 1032 into one
@@ -32,7 +33,7 @@ def read_array(file: Path) -> NDArray[Any]:
     OSError
         It cannot be opened.
     """
-    with file.open("rb") as stream:
+    with open_file(file) as stream:
         return _read(stream, file.stat().st_size)
 
 
@@ -45,7 +46,7 @@ def read_arrays(file: Path, names: Collection[str] | None = None) -> dict[str, N
         As for :func:`read_array`.
     """
     found = {}
-    with file.open("rb") as stream:
+    with open_file(file) as stream:
         try:
             with zipfile.ZipFile(stream) as archive:
                 entries = {e.filename.removesuffix(".npy"): e for e in archive.infolist()}

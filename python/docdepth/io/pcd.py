@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import MissingExtraError
 from docdepth.io.atomic import write_atomically
+from docdepth.io.opened import open_file, read_file
 
 _TYPES = {
     "F": {4: "<f4", 8: "<f8"},
@@ -129,7 +130,7 @@ def read_pcd(path: Path) -> tuple[NDArray[Any], PcdHeader]:
     MissingExtraError
         It is compressed, and the library that decompresses it is missing.
     """
-    content = path.read_bytes()
+    content = read_file(path)
     header = _parse_header(content)
     body = content[header.size :]
     if header.data == "ascii":
@@ -174,7 +175,7 @@ def read_pcd_header(path: Path) -> PcdHeader:
     PcdError
         The file is no PCD file.
     """
-    with path.open("rb") as stream:
+    with open_file(path) as stream:
         return _parse_header(stream.read(1 << 14))
 
 

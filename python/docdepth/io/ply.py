@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError, RunError
 from docdepth.io.atomic import WriteFile, write_atomically
+from docdepth.io.opened import open_file
 
 _BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
@@ -128,7 +129,7 @@ def read_vertices(path: Path) -> tuple[NDArray[Any], list[str]]:
         The file is missing, no PLY file or damaged, or a property of its vertices is a list.
     """
     try:
-        with Path(path).open("rb") as stream:
+        with open_file(Path(path)) as stream:
             header = _read_header(stream)
             size = os.fstat(stream.fileno()).st_size
             return _read_rows(stream, size, header), header.comments
@@ -143,7 +144,7 @@ def read_vertices(path: Path) -> tuple[NDArray[Any], list[str]]:
 def read_comments(path: Path) -> list[str]:
     """The comments of a header; none where the file is missing or its header is damaged."""
     try:
-        with Path(path).open("rb") as stream:
+        with open_file(Path(path)) as stream:
             return _read_header(stream).comments
     except (OSError, _Damaged):
         return []

@@ -26,6 +26,7 @@ from docdepth.geometry.se3 import (
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.frames import read_trajectory
 from docdepth.io.npy import ArrayError, read_array
+from docdepth.io.opened import read_text
 
 log = logging.getLogger(__name__)
 
@@ -236,7 +237,7 @@ def _nanoseconds(line: str) -> int:
 
 def _begins_with_w(path: Path) -> bool:
     """Whether a heading names the quaternion w x y z, as EuRoC's files do, not x y z w."""
-    for line in path.read_text(encoding="utf-8-sig").splitlines():
+    for line in read_text(path, "utf-8-sig").splitlines():
         names = re.sub(r"\[[^]]*\]", "", line.lstrip("# ")).replace(",", " ").split()
         if line.lstrip().startswith("#") and len(names) == 8:
             return [name[-1].lower() for name in names[4:]] == list("wxyz")
@@ -245,7 +246,7 @@ def _begins_with_w(path: Path) -> bool:
 
 def _lines(path: Path) -> list[str]:
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path, "utf-8-sig")
     except FileNotFoundError:
         raise OdometryError(f"{path} is missing; give the file of the poses") from None
     except (UnicodeDecodeError, IsADirectoryError):

@@ -22,6 +22,7 @@ from docdepth.io.atomic import (
     write_atomically,
 )
 from docdepth.io.file_records import FileRecords, shared_records
+from docdepth.io.opened import read_file
 
 STATE_DIR = ".docdepth"
 """Folder of a run with what docdepth needs to continue it; nothing in it is a result."""
@@ -309,7 +310,7 @@ class RecordedFolder:
 
     def move_into_place(self, part: Path, path: Path, key: dict[str, str]) -> None:
         """Give a file that is whole its name, and record it."""
-        self.write(path, lambda stream: stream.write(part.read_bytes()), key)
+        self.write(path, lambda stream: stream.write(read_file(part)), key)
         part.unlink()
 
     def invalidate(self, path: Path) -> None:

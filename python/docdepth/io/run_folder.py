@@ -37,6 +37,7 @@ from docdepth.io.manifest import (
     StageEntry,
     read_manifest,
 )
+from docdepth.io.opened import read_file
 from docdepth.io.recorded_folder import STATE_DIR, RecordedFolder, check_entries
 from docdepth.io.yaml_json import parse_json
 
@@ -386,7 +387,7 @@ class RunFolder(RecordedFolder):
 def _content(path: Path) -> bytes | None:
     """None where there is no file that can be read."""
     try:
-        return path.read_bytes()
+        return read_file(path)
     except OSError:
         return None
 

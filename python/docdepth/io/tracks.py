@@ -6,6 +6,7 @@ import csv
 import io
 from array import array
 from collections.abc import Iterable
+from io import TextIOWrapper
 from pathlib import Path
 from typing import BinaryIO
 
@@ -18,6 +19,7 @@ from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.track import KINDS, Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import WriteFile, write_atomically
+from docdepth.io.opened import open_file
 
 TRACKS = "tracks.csv"
 """Name of the file in a run and in a synthetic drive."""
@@ -106,7 +108,7 @@ def cut_tracks(path: Path, times: NDArray[np.int64]) -> bytes:
     read_tracks(path)
     frames = {str(time): str(frame) for frame, time in enumerate(times.tolist())}
     text = io.StringIO()
-    with path.open(newline="", encoding="utf-8") as stream:
+    with TextIOWrapper(open_file(path), "utf-8", newline="") as stream:
         reader = csv.DictReader(stream)
         writer = csv.DictWriter(text, reader.fieldnames or COLUMNS, lineterminator="\n")
         writer.writeheader()
@@ -138,7 +140,7 @@ def read_tracks(path: Path) -> list[Track]:
     """
     try:
         found: dict[int, _Rows] = {}
-        with path.open(newline="", encoding="utf-8") as stream:
+        with TextIOWrapper(open_file(path), "utf-8", newline="") as stream:
             for row in csv.DictReader(stream):
                 number = int(row["id"])
                 if number not in found:

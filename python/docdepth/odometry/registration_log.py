@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import RunError
+from docdepth.io.opened import read_file
 
 log = logging.getLogger(__name__)
 
@@ -157,7 +158,7 @@ def first_insertion(positions: NDArray[np.float64], reach: float) -> int:
 def _read(path: Path, head: bytes) -> NDArray[np.void]:
     """The whole rows of a file that begins with ``head``."""
     try:
-        content = path.read_bytes()
+        content = read_file(path)
     except OSError:
         content = b""
     body = content[len(head) :] if content.startswith(head) else b""

@@ -21,6 +21,7 @@ from docdepth.geometry.se3 import inverse, poses_from, quaternion_to_matrix, rot
 from docdepth.io.depth import DESCRIPTION
 from docdepth.io.inputs import Point, RunInputs
 from docdepth.io.manifest import CameraEntry, StoredCameraFit, VirtualCamera
+from docdepth.io.opened import read_text
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.execution import check_image_size
 
@@ -355,7 +356,7 @@ def parse_pose(text: str) -> NDArray[np.float64]:
         The text has another form, or its rotation is not one.
     """
     file = Path(text)
-    content = file.read_text(encoding="utf-8") if len(text) < 256 and file.is_file() else text
+    content = read_text(file) if len(text) < 256 and file.is_file() else text
     try:
         values = np.array(content.replace(",", " ").split(), dtype=np.float64)
     except ValueError:

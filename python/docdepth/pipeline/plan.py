@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import CameraStream, Dataset, Sweep
 from docdepth.datasets.files import ImageSource, file_of
 from docdepth.errors import DatasetError, RunError
+from docdepth.io.opened import open_file
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.tracks import TRACKS
 from docdepth.pipeline.cameras import RunCamera, run_cameras
@@ -122,7 +123,7 @@ def _known(files: object) -> _Known:
 
 def _hash(file: Path) -> str:
     found = hashlib.sha256()
-    with file.open("rb") as stream:
+    with open_file(file) as stream:
         while data := stream.read(1 << 22):
             found.update(data)
     return found.hexdigest()

@@ -16,6 +16,7 @@ from docdepth.config import Parameters, Preset, Settings, parameters, replaced
 from docdepth.errors import ConfigError, DatasetError
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.evaluation.runs import evaluate_depth, evaluate_labels
+from docdepth.io.opened import read_text
 from docdepth.io.run_folder import RunFolder
 
 
@@ -90,7 +91,7 @@ def read_trials(path: Path) -> list[Trial]:
         The file is missing or has another structure.
     """
     try:
-        tree = read_yaml(path.read_text(encoding="utf-8"))
+        tree = read_yaml(read_text(path))
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         why = explain_yaml(error) if isinstance(error, yaml.YAMLError) else error
         raise ConfigError(f"{path} cannot be read: {why}") from None

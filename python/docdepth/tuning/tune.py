@@ -18,6 +18,7 @@ from docdepth.concurrency import Progress, null_progress
 from docdepth.config import Parameters
 from docdepth.errors import ConfigError, RunError
 from docdepth.io.atomic import write_atomically
+from docdepth.io.opened import read_text
 from docdepth.io.recorded_folder import STATE_DIR
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.pipeline.cameras import add_cameras, run_cameras
@@ -159,7 +160,7 @@ class _Task:
     def outcome(self) -> Outcome | None:
         """The stored score, if it is of the same run, parameters, objective and version."""
         try:
-            found = json.loads(self._file.read_text(encoding="utf-8"))
+            found = json.loads(read_text(self._file))
             if found["key"] != self.key:
                 return None
             return Outcome(self.run.name, self.trial.name, self.trial.settings, found["metrics"])

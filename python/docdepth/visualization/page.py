@@ -14,6 +14,7 @@ import numpy as np
 
 from docdepth.errors import DatasetError
 from docdepth.io.atomic import move_aside, write_atomically
+from docdepth.io.opened import read_file
 from docdepth.visualization.pictures import Picture
 
 _MARKS = "<!-- docdepth page -->", "<!-- docdepth inspect -->"  # today's, and that of earlier pages
@@ -73,7 +74,7 @@ def check_page(path: Path) -> None:
     if path.is_dir():
         raise DatasetError(f"{path} is a folder; name a file for the page")
     if path.is_file():
-        start = path.read_bytes()[:6000]
+        start = read_file(path)[:6000]
         if not any(mark.encode() in start for mark in _MARKS):
             raise DatasetError(f"{path} is no page of docdepth; name another file")
 
@@ -92,7 +93,7 @@ def write_page(path: Path, parts: Iterable[str]) -> None:
     content = "\n".join(parts).encode(errors="replace")
     content += _seal(content)
     try:
-        known = path.read_bytes() if path.is_file() else content
+        known = read_file(path) if path.is_file() else content
         if not known.endswith(_seal(known[: -len(_seal(known))])):
             move_aside(path)
         write_atomically(path, lambda stream: stream.write(content))

@@ -18,6 +18,7 @@ from docdepth.datasets.base import CameraStream
 from docdepth.errors import RunError
 from docdepth.geometry.track import KINDS, Track
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.opened import read_text
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.visualization import drive_map
@@ -264,7 +265,7 @@ def _held_out(run: RunFolder, camera: str) -> str:
             "<p class=note>Errors against sweeps that were left out are not measured yet: docdepth "
             "evaluate held-out RUN does it, and adds them here</p>"
         )
-    kept = json.loads(path.read_text(encoding="utf-8"))
+    kept = json.loads(read_text(path))
     rows = (tuple(row) for row in kept["rows"])
     return (
         f"<h3>{escape(kept['title'])}</h3>{table(tuple(kept['header']), rows)}"

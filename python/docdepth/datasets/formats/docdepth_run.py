@@ -15,6 +15,7 @@ from docdepth.errors import DamagedFileError
 from docdepth.geometry.points import DYNAMIC, MOVING_LABEL, STATIC_LABEL
 from docdepth.io.depth import DESCRIPTION
 from docdepth.io.frames import read_frame_name, read_trajectory
+from docdepth.io.opened import read_file
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.yaml_json import parse_json
 
@@ -65,7 +66,7 @@ class RunDataset(DatasetRepr):
         """As the maps of the run are named; their numbers where these are not all there."""
         path = self.path / "depth" / folder / DESCRIPTION
         try:
-            maps = parse_json(path.read_bytes())["maps"]
+            maps = parse_json(read_file(path))["maps"]
             names = {int(one["time_ns"]): name for name, one in maps.items()}
             found = [names[time] for time in times.tolist()]
             if len(set(found)) < len(found) or any(Path(name).name != name for name in found):

@@ -25,6 +25,7 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse
 
 _COPY = "unpack the sequence again"
+_MOST = 1 << 28  # bytes of an inflated table; sweeps of PandaSet have 8 MB
 _SPINNING = 0  # column d of the LiDAR on the roof; 1 is the one that looks ahead
 _SIZE = (1920, 1080)  # pixels
 _FRONT = "front_camera"
@@ -129,14 +130,21 @@ def read_table(file: Path, where: str) -> dict[str, NDArray[Any]]:
 
     content = read_bytes(file, _COPY)
     try:
-        table = Careful(io.BytesIO(gzip.decompress(content))).load()
+        with gzip.GzipFile(fileobj=io.BytesIO(content)) as stream:
+            inflated = stream.read(_MOST + 1)
+        if len(inflated) > _MOST:
+            raise pickle.UnpicklingError("it holds more than 256 MB")
+        table = Careful(io.BytesIO(inflated)).load()
     except (OSError, EOFError, zlib.error, pickle.UnpicklingError) as error:
         raise DatasetError(f"{where} is no whole table of pandas ({error}); {_COPY}") from None
     except Exception as error:  # a damaged pickle may fail in any way
         raise DatasetError(f"{where} is damaged ({error!r}); {_COPY}") from None
     if not isinstance(table, pandas.DataFrame):
         raise DatasetError(f"{where} holds no table of pandas; {_COPY}")
-    return {str(name): table[name].to_numpy() for name in table.columns}
+    columns = {str(name): table[name].to_numpy() for name in table.columns}
+    if other := [name for name, values in columns.items() if values.dtype.kind not in "fiub"]:
+        raise DatasetError(f"{where} holds no numbers in its column {other[0]}; {_COPY}")
+    return columns
 
 
 def _entries(file: Path, count: int, what: str) -> list[Any]:

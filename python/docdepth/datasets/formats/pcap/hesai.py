@@ -17,6 +17,7 @@ from docdepth.datasets.formats.pcap.packet_capture import PacketCapture, Packets
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.errors import DatasetError
+from docdepth.io.opened import open_file
 
 LASERS = 32
 DESIGNED = np.stack([15.0 - np.arange(LASERS), np.zeros(LASERS)], axis=1)
@@ -168,7 +169,7 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
 def _recognises(path: Path) -> bool:
     if path.suffix.lower() != ".pcap" or not path.is_file():
         return False
-    with path.open("rb") as stream:
+    with open_file(path) as stream:
         head = stream.read(_HEAD)
     return _BEGINNING.search(head) is not None
 

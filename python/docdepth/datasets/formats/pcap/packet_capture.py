@@ -18,6 +18,7 @@ from docdepth.datasets.kitti_files import check_increasing
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings
 from docdepth.errors import DatasetError
+from docdepth.io.opened import open_file
 
 log = logging.getLogger(__name__)
 
@@ -76,7 +77,7 @@ class PacketCapture:
         begin, end = self._parts[index]
         packets = []
         try:
-            with self.path.open("rb") as stream:
+            with open_file(self.path) as stream:
                 for offset in self._offsets[begin:end].tolist():
                     stream.seek(offset)
                     packets.append(stream.read(self._kind.size))
@@ -120,7 +121,7 @@ def _scan(
 def _packets(path: Path, kind: Packets) -> Iterator[tuple[int, int, int, bytes]]:
     """Arrival, place, azimuth and sender of each packet of points."""
     dpkt = extra("dpkt", "captures of packets need dpkt", "velodyne")
-    with path.open("rb") as stream:
+    with open_file(path) as stream:
         try:
             reader = dpkt.pcap.Reader(stream)
         except (ValueError, dpkt.dpkt.Error) as error:
@@ -147,7 +148,7 @@ def _packets(path: Path, kind: Packets) -> Iterator[tuple[int, int, int, bytes]]
 
 def _warn_of_end(path: Path, begin: int) -> None:
     """Log a warning if the packet that begins there, the last, is longer than the capture."""
-    with path.open("rb") as stream:
+    with open_file(path) as stream:
         order = "<" if stream.read(4) in _LITTLE_ENDIAN else ">"
         stream.seek(begin)
         rest = stream.read()
