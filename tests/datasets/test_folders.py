@@ -10,17 +10,18 @@ import pytest
 import yaml
 from conformance import check
 from made_up import DRIVE
-from writers import WRITERS, folder_rows, settings, write_beside, write_pcd
+from writers import WRITERS, folder_rows, seconds, settings, write_beside, write_pcd
 
 from docdepth.datasets import open_dataset
 from docdepth.datasets.cloud_files import RowFormat, read_cloud
 from docdepth.datasets.formats.cloud_folder import cloud_files
 from docdepth.datasets.times import time_of_name, times_of_files
 from docdepth.errors import DatasetError, DocDepthError
-from docdepth.geometry.se3 import poses_from, rotation_exp
+from docdepth.geometry.se3 import poses_from, rotation_exp, se3_exp
 from docdepth.io.pcd import PcdError, read_pcd
 from docdepth.io.ply import write_vertices
 from docdepth.io.poses import write_kitti
+from docdepth.odometry.sweeps import deskewed_points
 
 T_OTHER = poses_from([rotation_exp([0.1, -0.05, 0.5])], [[0.3, 1.2, -0.4]])[0]
 
@@ -329,7 +330,9 @@ def test_points_of_the_world_come_to_the_lidar(folder: Path) -> None:
         open_dataset(folder)
 
 
-def test_two_lidars(tmp_path: Path) -> None:
+@pytest.mark.parametrize("late", [0, 50_000_000])
+def test_two_lidars(tmp_path: Path, late: int) -> None:
+    """Each is compensated to its own stamps, and moved from there."""
     clouds = tmp_path / "clouds"
     for name in ("left", "right"):
         (clouds / name).mkdir(parents=True)
@@ -341,15 +344,25 @@ def test_two_lidars(tmp_path: Path) -> None:
             write_vertices(clouds / name / f"{k:06d}.ply", rows, [])
     lidars = {
         "left": {"sweeps": "left", "times": "stamps.txt"},
-        "right": {"sweeps": "right", "times": "stamps.txt", "T_lidar_sensor": T_OTHER.tolist()},
+        "right": {"sweeps": "right", "times": "late.txt", "T_lidar_sensor": T_OTHER.tolist()},
     }
-    write_beside(clouds, lidars=lidars, times=None)
+    write_beside(clouds, lidars=lidars, times=None, motion_compensated=bool(late))
+    (clouds / "late.txt").write_text(seconds(DRIVE.times + late))
     dataset = open_dataset(clouds)
-    check(dataset, "folder")
+    if not late:
+        check(dataset, "folder")
     n, kept = len(DRIVE.rows(0)), DRIVE.usable(0)
     sweep = dataset.sweep(0)
     np.testing.assert_allclose(sweep.points[n:][kept], DRIVE.points(0)[kept], atol=2e-6)
     np.testing.assert_array_equal(sweep.sensor_rig.T_lidar_sensor[1], T_OTHER)
+    if late:
+        motion = se3_exp(np.zeros(3), np.array([2.0, 0, 0]))  # metres a sweep
+        moved = deskewed_points(sweep, 0, motion) - sweep.points
+        share = late / DRIVE.period
+        np.testing.assert_allclose(moved[:n][kept], 0)
+        np.testing.assert_allclose(
+            moved[n:][kept], np.tile([2 * share, 0, 0], (kept.sum(), 1)), atol=2e-6
+        )
 
 
 def test_where_the_lidar_looks_from(folder: Path) -> None:

@@ -49,6 +49,9 @@ class Sweep(ShortRepr):
         its own time. Moving objects are where they were when they were measured either way.
     ring : ndarray of uint16, shape (N,), optional
         The laser of each point, as the recording numbers it.
+    compensated_to : ndarray of float32, shape (N,), optional
+        Of a motion compensated sweep of several LiDARs with stamps of their own: the stamp of each
+        point, as a share of the sweep's duration after ``time``. None if all are ``time``.
 
     Raises
     ------
@@ -64,6 +67,7 @@ class Sweep(ShortRepr):
     sensor_rig: SensorRig | None = None
     motion_compensated: bool = False
     ring: NDArray[np.uint16] | None = None
+    compensated_to: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", check_points(self.points))
@@ -71,7 +75,7 @@ class Sweep(ShortRepr):
         if rig is not None and not isinstance(rig, SensorRig):
             raise InputError(f"sensor_rig must be a SensorRig, not {type(rig).__name__}")
         of_points = {"sensor_rig.index": None if rig is None else rig.index}
-        for name in ("intensity", "relative_time", "ring"):
+        for name in ("intensity", "relative_time", "ring", "compensated_to"):
             of_points[name] = getattr(self, name)
         for name, values in of_points.items():
             if values is not None and np.shape(values) != self.points.shape[:1]:

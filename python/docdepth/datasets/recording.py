@@ -199,6 +199,7 @@ class Recording(DatasetRepr):
             self._rig(parts),
             self._settings.motion_compensated or False,
             joined_columns([part.cloud.ring for part in parts]),
+            self._compensated_to(parts),
         )
         return without_ego(sweep, self.ego_boxes or [])
 
@@ -336,6 +337,14 @@ class Recording(DatasetRepr):
             shares = np.zeros(len(part.points), np.float32) if shares is None else shares
             times.append(shares + np.float32(part.late / period) if part.late else shares)
         return np.concatenate(times)
+
+    def _compensated_to(self, parts: Sequence[Part]) -> NDArray[np.float32] | None:
+        """Stamps of the LiDARs, as shares of a sweep; points of each are compensated to its own."""
+        if not self._settings.motion_compensated or not any(part.late for part in parts):
+            return None
+        period = self._period or USUAL_PERIOD
+        shares = [np.full(len(part.points), part.late / period, np.float32) for part in parts]
+        return np.concatenate(shares)
 
     def _rig(self, parts: Sequence[Part]) -> SensorRig | None:
         points, several = parts[0].points, len(self._readers) > 1

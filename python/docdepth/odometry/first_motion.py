@@ -21,7 +21,7 @@ import docdepth._core as _core
 from docdepth.datasets.base import Sweep
 from docdepth.odometry.deskewing import deskew
 from docdepth.odometry.registration import FEWEST_POINTS, Registration, rising_rows
-from docdepth.odometry.sweeps import SweepPart, ThinnedSweeps, is_raw
+from docdepth.odometry.sweeps import SweepPart, ThinnedSweeps, motion_times
 
 FIRST_SWEEPS = 4
 """Sweeps from which the first motion is found. A motorway is straight for so long."""
@@ -151,9 +151,9 @@ def _timed(sweeps: Sequence[Sweep]) -> list[_Points]:
         if len(sweep.points) < FEWEST_POINTS:
             break
         time = np.full(len(sweep.points), (sweep.time - sweeps[0].time) / period, np.float32)
-        if is_raw(sweep):
-            assert sweep.relative_time is not None
-            time += sweep.relative_time
+        late = motion_times(sweep)
+        if late is not None:
+            time += late
         # Points without a time are refused, by name, when the sweep is registered.
         timed.append(_Points(sweep.points, time).rows(np.isfinite(time)))
     return timed

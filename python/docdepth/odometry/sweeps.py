@@ -156,14 +156,12 @@ class ThinnedSweeps:
         return sweeps[index]
 
     def _thinned(self, sweep: Sweep) -> Sweep:
-        times = sweep.relative_time
-        if times is None:
-            times = np.zeros(len(sweep.points), np.float32)
+        moved_by = motion_times(sweep)
+        times = np.zeros(len(sweep.points), np.float32) if moved_by is None else moved_by
         points = np.ascontiguousarray(sweep.points)
         points, times = _core.thin_sweep(points, times, self._voxel_size, *self._range)
-        relative_time = None if sweep.relative_time is None else times
-        compensated = sweep.motion_compensated
-        return Sweep(points, sweep.name, sweep.time, None, relative_time, None, compensated)
+        relative_time = None if moved_by is None else times
+        return Sweep(points, sweep.name, sweep.time, None, relative_time)
 
 
 class SweepPart:
@@ -186,9 +184,12 @@ class SweepPart:
         return self._sweeps[self._frames[index]]
 
 
-def is_raw(sweep: Sweep) -> bool:
-    """Whether a sweep can and has to be deskewed."""
-    return sweep.relative_time is not None and not sweep.motion_compensated
+def motion_times(sweep: Sweep) -> NDArray[np.float32] | None:
+    """By how long the motion has to move each point to the stamp, as shares of a sweep.
+
+    None where a sweep is compensated to its stamp, or its points have no times.
+    """
+    return sweep.compensated_to if sweep.motion_compensated else sweep.relative_time
 
 
 def deskewed_points(sweep: Sweep, index: int, motion: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -202,9 +203,10 @@ def deskewed_points(sweep: Sweep, index: int, motion: NDArray[np.float64]) -> ND
     OdometryError
         A usable point has no finite time.
     """
-    if sweep.relative_time is None or sweep.motion_compensated:
+    times = motion_times(sweep)
+    if times is None:
         return sweep.points
     try:
-        return deskew(sweep.points, sweep.relative_time, motion)
+        return deskew(sweep.points, times, motion)
     except InputError as error:
         raise OdometryError(f"sweep {sweep.name} (frame {index}): {error}") from None
