@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from boards import BOARD, LENS, T_CAMERA_LIDAR, all_poses, corners_of, picture
 
 from docdepth.calibration.board import Board, parse_board
-from docdepth.calibration.corners import board_pose, counted_corners, find_corners
+from docdepth.calibration.corners import board_pose, counted_corners, find_corners, shows_markers
 from docdepth.calibration.lens import Lens, estimate_lens
 from docdepth.errors import CalibrationError, ConfigError
 
@@ -107,3 +108,21 @@ def test_corners_are_found_to_a_fraction_of_a_pixel():
     # A board that is partly out of the picture is not found, and no smaller one instead.
     away = image[:, : int(exact[:, 0].mean())].copy()
     assert find_corners(away, BOARD) is None
+
+
+@pytest.mark.parametrize("kind", ["AprilGrid", "ChArUco", "checkerboard"])
+def test_markers_are_told_from_checkerboards(kind: str) -> None:
+    pixels = np.full((600, 800), 255, np.uint8)
+    if kind == "AprilGrid":
+        known = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36H11)
+        for k in range(12):
+            y, x = 40 + 180 * (k // 4), 40 + 180 * (k % 4)
+            pixels[y : y + 140, x : x + 140] = cv2.aruco.generateImageMarker(known, k, 140)
+    elif kind == "ChArUco":
+        known = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000)
+        pixels = cv2.aruco.CharucoBoard((7, 5), 0.1, 0.07, known).generateImage(
+            (800, 600), None, 20
+        )
+    else:
+        pixels[50:550, 50:750] = 255 * (np.indices((500, 700)) // 100).sum(axis=0) % 2
+    assert shows_markers(pixels) == (kind != "checkerboard")

@@ -159,6 +159,16 @@ def other_recording(at: Path) -> None:
         np.fromfile(file, np.float32).reshape(-1, 4)[::-1].tofile(file)
 
 
+def relabel(*classes: int) -> Spoil:
+    """True labels of these classes in turn."""
+
+    def spoil(at: Path) -> None:
+        for file in (at / "d/labels").iterdir():
+            np.resize(np.array(classes, "<u4"), file.stat().st_size // 4).tofile(file)
+
+    return spoil
+
+
 def millimetres(at: Path) -> None:
     """True depth as PNG of millimetres, which RGB-D cameras write."""
     (at / "mm").mkdir()
@@ -254,6 +264,9 @@ RECORDINGS = [
      DatasetError, "000002.label uint32"),
     ("labels: one away", evaluate("labels", "d"), remove("d/labels/000002.label"), DatasetError,
      "000002.label read"),
+    ("labels of 0 and 1", evaluate("labels", "d"), relabel(0, 1), DatasetError, "no point label"),
+    ("ids for training", evaluate("labels", "d"), relabel(1, 9, 17), DatasetError, "class 17"),
+    ("nothing moves", evaluate("labels", "d"), relabel(10, 40), WARNED, "no class moves"),
     ("no labels", evaluate("labels", "no"), None, DatasetError, "no is not there"),
     ("no depth", evaluate("depth", "no"), None, DatasetError, "no is not there"),
     ("own labels", evaluate("labels", "r"), None, DocDepthError, "r"),

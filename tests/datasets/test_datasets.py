@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from formats import WRITERS
 from kitti_drives import S_RECT, date, numbers, write_velodyne
 from made_up import DRIVE, SIZE
-from writers import WRITERS
 
 from docdepth.datasets import open_dataset, usable_points
 from docdepth.errors import CalibrationError, DatasetError
@@ -152,6 +152,19 @@ def test_two_lidars_of_a_sequence(sequence: Path) -> None:
     np.testing.assert_allclose(sweep.points[len(own) :], moved, atol=1e-6)
     np.testing.assert_array_equal(sweep.sensor_rig.index, np.repeat([0, 1], len(own)))
     np.testing.assert_array_equal(sweep.relative_time, np.tile(DRIVE.rows(2)["share"], 2))
+
+
+def test_a_lidar_of_another_name_is_asked_for(tmp_path: Path) -> None:
+    scene = WRITERS["nuScenes"][1](tmp_path).path
+    for table in tmp_path.rglob("sensor.json"):
+        named = table.read_text().replace(': "LIDAR_TOP"', ': "LIDAR_FRONT"')
+        table.write_text(named)
+    with pytest.raises(DatasetError, match=r"no LIDAR_TOP, but LIDAR_FRONT, CAM_FRONT; say lidar"):
+        open_dataset(scene)
+    (tmp_path / "docdepth.yaml").write_text("lidar: LIDAR_FRONT\n")
+    dataset = open_dataset(scene)
+    assert list(dataset.lidars) == ["LIDAR_FRONT"]
+    np.testing.assert_allclose(dataset.poses, DRIVE.poses, atol=1e-6)
 
 
 def test_folders_without_a_recording(raw: Path, tmp_path: Path) -> None:

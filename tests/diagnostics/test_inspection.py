@@ -255,6 +255,8 @@ def test_a_gap_and_a_wrong_unit_of_stamps() -> None:
     times = Recorded().times.copy()
     times[4:] += 3 * 10**8
     assert "sweep-gap" in codes_of(inspect_recording(Recorded(poses=None, times=times)))
+    times = Recorded().times // 10  # 100 Hz
+    assert "mini-sweeps" in codes_of(inspect_recording(Recorded(poses=None, times=times)))
     times = Recorded().times // 1000
     assert "sweep-period" in codes_of(inspect_recording(Recorded(poses=None, times=times)))
 

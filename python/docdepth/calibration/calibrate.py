@@ -199,7 +199,8 @@ def find(
         names = f": not in {', '.join(not_used)}" if not_used else ""
         raise CalibrationError(
             f"too few boards: the checkerboard was found in {len(in_image)} of {len(pairs)} "
-            f"images, at least {FEWEST_BOARDS} are needed, 10 or more are better{names}",
+            f"images, at least {FEWEST_BOARDS} are needed, 10 or more are better; circles and "
+            f"markers are not found{names}",
             code="few-boards",
         )
     if lens is not None and (lens.width, lens.height) != size:

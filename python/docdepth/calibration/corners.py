@@ -17,6 +17,12 @@ _LESS = ((0, -1), (-1, 0), (-1, -1), (-2, -2))
 _SMOOTH = 1.0  # pixels, standard deviation; shifts corners by 0.05 px
 _FEWEST = 3  # corners to each side of the smallest board that OpenCV looks for
 
+_MARKERS = (
+    cv2.aruco.DICT_APRILTAG_36H11, cv2.aruco.DICT_4X4_1000, cv2.aruco.DICT_5X5_1000,
+    cv2.aruco.DICT_6X6_1000,
+)  # fmt: skip
+_FEWEST_MARKERS = 4  # a stain may look like one
+
 
 def find_corners(image: NDArray[np.uint8], board: Board, thorough: bool = True) -> Floats | None:
     """Inner corners of the board in an image (h, w, 3), pixels (n, 2); None if it is not there.
@@ -63,6 +69,16 @@ def counted_corners(image: NDArray[np.uint8], board: Board, found: bool) -> tupl
         if min(counts) >= _FEWEST and cv2.findChessboardCornersSB(gray, counts, _SUBPIXEL)[0]:
             return counts
     return None
+
+
+def shows_markers(image: NDArray[np.uint8]) -> bool:
+    """Whether an image shows the markers of an AprilGrid or a ChArUco board."""
+    gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+    for known in _MARKERS:
+        detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(known))
+        if len(detector.detectMarkers(gray)[0]) >= _FEWEST_MARKERS:
+            return True
+    return False
 
 
 def board_pose(corners: Floats, board: Board, lens: Lens) -> tuple[Floats, float]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from docdepth.calibration.board import Board
 from docdepth.calibration.calibrate import BoardPair
-from docdepth.calibration.corners import counted_corners, find_corners
+from docdepth.calibration.corners import counted_corners, find_corners, shows_markers
 from docdepth.calibration.find import FEWEST_BOARDS
 from docdepth.calibration.sweeps import board_sweep
 from docdepth.concurrency import Progress
@@ -207,12 +207,19 @@ def _check_count(
     few = np.linspace(0, len(together) - 1, min(len(together), _COUNTED)).astype(int)
     for k in np.unique(few).tolist():
         image = stream.images[together[k][0]]
-        count = counted_corners(read_image_of(image), board, found)
+        pixels = read_image_of(image)
+        if not found and shows_markers(pixels):
+            raise CalibrationError(
+                f"{image} shows markers, as of an AprilGrid or a ChArUco board; docdepth "
+                "calibrates by plain checkerboards alone",
+                code="other-target",
+            )
+        count = counted_corners(pixels, board, found)
         if count is not None:
             raise CalibrationError(
                 f"{image} shows a checkerboard of {count[0]}x{count[1]} inner corners, not "
                 f"{board.columns}x{board.rows}; count the points where four squares meet, not the "
-                "squares (`corners`)",
+                "squares (`corners`). Circles and markers are no checkerboard",
                 code="number-of-corners",
             )
 

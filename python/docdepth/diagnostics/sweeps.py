@@ -32,6 +32,7 @@ _GAP = 0.2  # share of rows in one piece that are not finite
 _LONG = 1.8  # of the usual time between sweeps: one is missing
 _CLOSE = 0.3  # and this share is too little; stamps of arrival stay above 0.5
 _USABLE = 0.7  # of the share of usable points that sweeps of the drive usually have
+_SHORTEST = 0.04  # seconds; some LiDARs turn 20 times a second, none much faster
 _SMALL = 0.7  # share of the size of those around below which a sweep is partial
 _AROUND = 5  # sweeps before and after
 _LATE = 1.5  # durations of a sweep after its stamp; no point is measured later
@@ -172,7 +173,16 @@ def _check_period(recording: Dataset, has_poses: bool) -> list[Finding]:
     except OdometryError as error:
         found = Finding.of(error)
         return [replace(found, severity="warning") if has_poses else found]
-    return _check_gaps(str(recording.path), np.diff(recording.times) * 1e-9, period)
+    where, gaps = str(recording.path), np.diff(recording.times) * 1e-9
+    found_gaps = _check_gaps(where, gaps, period)
+    if period > _SHORTEST:
+        return found_gaps
+    text = (
+        f"sweeps are {period:.2g} s apart, and a LiDAR takes 0.05 s or longer for one: these are "
+        "parts of sweeps"
+    )
+    remedy = "join them: say sweep_duration: 0.1 in docdepth.yaml, for a LiDAR of 10 Hz"
+    return [Finding("mini-sweeps", where, text, remedy), *found_gaps]
 
 
 def _check_gaps(where: str, gaps: NDArray[np.float64], period: float) -> list[Finding]:

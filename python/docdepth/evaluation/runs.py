@@ -83,7 +83,16 @@ def evaluate_labels(
             look(record.name, record.points, classid, truth[record.index])
         if progress:
             progress("labels", index + 1, len(times))
-    return evaluation.result()
+    result = evaluation.result()
+    counts = result.with_standing or result.counts
+    if not counts.static + counts.dynamic:
+        raise DatasetError(
+            f"{labels}: no point has a label: 0 is unlabelled and 1 an outlier in SemanticKITTI's "
+            "numbering; write 9 for what stands still and 251 for what moves"
+        )
+    if not counts.dynamic:
+        log.warning("%s: no point is of a class that moves, 251 to 259", labels)
+    return result
 
 
 def evaluate_tracks(

@@ -31,6 +31,21 @@ LABEL_FORMATS = ("label", "classid", "pcd")
 
 SUFFIXES = (".label", ".npy", ".pcd")
 
+# Of SemanticKITTI.
+CLASS_NAMES = {
+    0: "unlabelled", 1: "outlier",
+    10: "car", 11: "bicycle", 13: "bus", 15: "motorcycle", 16: "on rails", 18: "truck",
+    20: "other vehicle", 30: "person", 31: "bicyclist", 32: "motorcyclist",
+    40: "road", 44: "parking", 48: "sidewalk", 49: "other ground", 50: "building", 51: "fence",
+    52: "other structure", 60: "lane marking", 70: "vegetation", 71: "trunk", 72: "terrain",
+    80: "pole", 81: "traffic sign", 99: "other object",
+    251: "moving", 252: "moving car", 253: "moving bicyclist", 254: "moving person",
+    255: "moving motorcyclist", 256: "moving on rails", 257: "moving bus", 258: "moving truck",
+    259: "moving other vehicle",
+}  # fmt: skip
+_KNOWN = (*CLASS_NAMES, STATIC_LABEL)
+"""Classes of SemanticKITTI and of its benchmark of moving objects."""
+
 _Classes = NDArray[np.uint16]
 
 _ONE_AS_FLOAT = 0x3F800000  # bits of 1.0; as a label, instance 16256 of class 0
@@ -128,6 +143,12 @@ def read_labels(file: Path, points: int, frame: int) -> NDArray[np.uint32]:
     told = labels[labels > 0]
     if len(told) and told.min() >= _ONE_AS_FLOAT and not (told & _OF_FLOATS).any():
         raise DatasetError(f"{file} (frame {frame}) holds float32 numbers; write labels as uint32")
+    other = np.setdiff1d(labels & 0xFFFF, _KNOWN)
+    if len(other):
+        raise DatasetError(
+            f"{file} (frame {frame}) has the class {other[0]}, which SemanticKITTI does not have: "
+            "labels are of another numbering, such as ids for training; map them to SemanticKITTI's"
+        )
     return labels
 
 
@@ -231,6 +252,12 @@ def _classes_of(values: NDArray[Any], file: Path, points: int, frame: int) -> _C
         raise DatasetError(
             f"{file} (frame {frame}) has the class {values.min()}; below 50 is ground, "
             "50 to 99 for static, 100 and above for dynamic"
+        )
+    told = np.setdiff1d(values, (GROUND, STATIC, DYNAMIC))
+    if len(told) and np.isin(told, _KNOWN).all():
+        raise DatasetError(
+            f"{file} (frame {frame}) has classes as SemanticKITTI's or 0 and 1 ({told[0]}); write "
+            "0 for ground, 50 for static and 100 for dynamic, or bool, or uint32 as .label"
         )
     return np.where(values >= DYNAMIC, DYNAMIC, np.where(values < STATIC, GROUND, STATIC)).astype(
         np.uint16

@@ -119,7 +119,7 @@ def check_period(dataset: Dataset) -> float:
     if not _PERIODS[0] < period < _PERIODS[1]:
         raise OdometryError(
             f"{dataset.path}: sweeps are {period:.3g} s apart; a LiDAR takes 0.05 to 0.2 s. Are "
-            "the times in seconds?",
+            "the times in seconds? Parts of sweeps are joined by sweep_duration in docdepth.yaml",
             code="sweep-period",
         )
     return period

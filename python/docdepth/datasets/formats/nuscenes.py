@@ -62,6 +62,18 @@ class Tables:
         return {row["name"]: row["token"] for row in self.rows("scene")}
 
 
+class NuscenesSettings(RecordingSettings):
+    """What docdepth.yaml of a recording in this layout takes.
+
+    Attributes
+    ----------
+    lidar : str
+        The channel whose sweeps are read.
+    """
+
+    lidar: str = "LIDAR_TOP"
+
+
 def turned(rows: NDArray[Any], where: str) -> Cloud:
     """The points of a sweep, x ahead."""
     points = np.stack([rows["y"], -rows["x"], rows["z"]], axis=1)
@@ -74,14 +86,17 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
     Sweeps are compensated for the motion of the vehicle, to the end of the revolution.
     """
     root = path if path.is_dir() else path.parent
-    settings = read_settings(root, RecordingSettings, {"motion_compensated": True})
+    settings = read_settings(root, NuscenesSettings, {"motion_compensated": True})
     tables, scene = _find_scene(root, None if path == root else path.name)
     channels = _channels(tables, scene)
-    if "LIDAR_TOP" not in channels:
-        raise DatasetError(f"{tables.folder}: scene {scene} has no LIDAR_TOP; {_UNPACK}")
+    if settings.lidar not in channels:
+        raise DatasetError(
+            f"{tables.folder}: scene {scene} has no {settings.lidar}, but {', '.join(channels)}; "
+            f"say lidar: NAME in {settings.file}, or {_UNPACK}"
+        )
     rows = [row for channel in channels.values() for row in channel]
     places = tables.by_token("calibrated_sensor", {row["calibrated_sensor_token"] for row in rows})
-    lidar = channels["LIDAR_TOP"]
+    lidar = channels[settings.lidar]
     place = places[lidar[0]["calibrated_sensor_token"]]
     T_ego_lidar = _pose(place, tables, "calibrated_sensor") @ inverse(_T_LIDAR_THEIRS)
     ego = tables.by_token("ego_pose", {row["ego_pose_token"] for row in lidar})
@@ -94,7 +109,7 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
     return Recording(
         "nuscenes",
         root,
-        [_lidar(root, lidar, tables)],
+        [_lidar(root, settings.lidar, lidar, tables)],
         cameras,
         np.stack(T_world_ego) @ T_ego_lidar,
         settings,
@@ -122,16 +137,16 @@ def _channels(tables: Tables, scene: str) -> dict[str, list[JsonObject]]:
     return channels
 
 
-def _lidar(root: Path, rows: list[JsonObject], tables: Tables) -> FileLidar:
+def _lidar(root: Path, name: str, rows: list[JsonObject], tables: Tables) -> FileLidar:
     files = [root / row["filename"] for row in rows]
     lacking = [file for file in files if not file.is_file()]
     if lacking:
         raise DatasetError(
             f"{lacking[0]} is missing, and {len(lacking) - 1} more of {len(files)} sweeps; unpack "
-            "samples and sweeps of LIDAR_TOP"
+            f"samples and sweeps of {name}"
         )
     names = [file.name.removesuffix(".pcd.bin") for file in files]
-    stream = LidarStream("LIDAR_TOP", _times(rows, names, tables), names)
+    stream = LidarStream(name, _times(rows, names, tables), names)
     return FileLidar(stream, files, partial(read_stamped, rows=_ROWS, cloud=turned))
 
 

@@ -119,10 +119,12 @@ def _rows(packets: Sequence[bytes], where: str) -> NDArray[np.void]:
     rows = np.frombuffer(b"".join(packet[:size] for packet in packets), _PACKET)
     its_own = (rows["lasers"] == LASERS) & (rows["blocks"] == _BLOCKS)
     if not (its_own & (rows["magic"] == _MAGIC)).all():
+        told = f"{rows['lasers'][0]} lasers, {rows['blocks'][0]} blocks"
+        if rows["magic"][0] != _MAGIC:
+            told = f"they begin with {packets[0][:2].hex(' ')}"
         raise DatasetError(
-            f"{where} holds packets of another LiDAR than a Hesai PandarXT-32 "
-            f"({rows['lasers'][0]} lasers, {rows['blocks'][0]} blocks); record PointCloud2, or "
-            "decode them with the driver of the LiDAR"
+            f"{where} holds packets of another LiDAR than a Hesai PandarXT-32 ({told}); record "
+            "PointCloud2, or decode them with the driver of the LiDAR"
         )
     returns = sorted(set(rows["returns"].tolist()))
     if returns not in ([1], [2]):
