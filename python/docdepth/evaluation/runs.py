@@ -22,7 +22,7 @@ from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import maps_in, read_depth
-from docdepth.io.labels import read_labels
+from docdepth.io.labels import read_labels, read_truth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import read_tracks, tracks_in
 from docdepth.pipeline.plan import require
@@ -73,7 +73,7 @@ def evaluate_labels(
     times = folder.trajectory().times
     for index in range(len(times)):
         record, classid = folder.classified_frame(index)
-        truth = read_labels(labels / f"{record.name}.label", record.input_points, index)
+        truth = read_truth(labels / f"{record.name}.label", record.input_points, index)
         dynamic = np.zeros(record.input_points, dtype=bool)
         dynamic[record.index] = classid >= DYNAMIC
         ranges = np.full(record.input_points, np.nan)

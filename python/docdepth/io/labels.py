@@ -143,6 +143,18 @@ def read_labels(file: Path, points: int, frame: int) -> NDArray[np.uint32]:
     told = labels[labels > 0]
     if len(told) and told.min() >= _ONE_AS_FLOAT and not (told & _OF_FLOATS).any():
         raise DatasetError(f"{file} (frame {frame}) holds float32 numbers; write labels as uint32")
+    return labels
+
+
+def read_truth(file: Path, points: int, frame: int) -> NDArray[np.uint32]:
+    """:func:`read_labels` of true labels, whose classes are SemanticKITTI's alone.
+
+    Raises
+    ------
+    DatasetError
+        As there; or a class is of another numbering.
+    """
+    labels = read_labels(file, points, frame)
     other = np.setdiff1d(labels & 0xFFFF, _KNOWN)
     if len(other):
         raise DatasetError(
@@ -254,9 +266,9 @@ def _classes_of(values: NDArray[Any], file: Path, points: int, frame: int) -> _C
             "50 to 99 for static, 100 and above for dynamic"
         )
     told = np.setdiff1d(values, (GROUND, STATIC, DYNAMIC))
-    if len(told) and np.isin(told, _KNOWN).all():
+    if len(np.setdiff1d(told, 1)) and np.isin(told, _KNOWN).all():
         raise DatasetError(
-            f"{file} (frame {frame}) has classes as SemanticKITTI's or 0 and 1 ({told[0]}); write "
+            f"{file} (frame {frame}) has classes as SemanticKITTI's ({told[-1]}); write "
             "0 for ground, 50 for static and 100 for dynamic, or bool, or uint32 as .label"
         )
     return np.where(values >= DYNAMIC, DYNAMIC, np.where(values < STATIC, GROUND, STATIC)).astype(
