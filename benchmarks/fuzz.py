@@ -158,7 +158,10 @@ def changed(run: Path, outside: Path, rng: random.Random) -> str:
         path.write_bytes(content[: at[0]] + tag.encode() + content[at[1] :])
         told += f" {tag[:40]}"
     elif way == "value" and path.suffix in (".yaml", ".json"):
-        values = yaml.safe_load(content)
+        try:
+            values = yaml.safe_load(content)
+        except (yaml.YAMLError, ValueError):  # it was changed before
+            return told
         told += f" {_change_value(values, rng)}"
         path.write_text(yaml.safe_dump(values) if path.suffix == ".yaml" else json.dumps(values))
     elif way == "value" and b"\n" in content[:500]:
