@@ -105,7 +105,9 @@ def test_a_torn_log_is_taken_up_to_the_tear(drive, whole, tmp_path, name: str, c
 
 def test_rows_are_read_as_they_were_written(tmp_path) -> None:
     rng, file = np.random.default_rng(3), tmp_path / "notes" / "pass_1.log"
-    rows = [Found(rng.normal(size=(4, 4)), rng.normal(size=(6, 6)), k % 3 > 0) for k in range(9)]
+    rows = [
+        Found(rng.normal(size=(4, 4)), rng.normal(size=(6, 6)), k % 3 > 0, k / 9) for k in range(9)
+    ]
     for begin, end in ((0, 4), (4, 4), (4, 9)):
         log = RegistrationLog(file, "key")
         assert len(log) == begin
@@ -118,13 +120,13 @@ def test_rows_are_read_as_they_were_written(tmp_path) -> None:
         assert found is not None
         np.testing.assert_array_equal(found.pose, row.pose)
         np.testing.assert_array_equal(found.covariance, row.covariance)
-        assert found.usable == row.usable
+        assert (found.usable, found.fitting) == (row.usable, row.fitting)
     assert log.found(9) is None
     assert len(RegistrationLog(file, "other")) == 0
     whole = file.read_bytes()
     for cut in range(0, len(whole), 7):
         file.write_bytes(whole[:cut])
-        assert len(RegistrationLog(file, "key")) == max(cut - 4, 0) // 424
+        assert len(RegistrationLog(file, "key")) == max(cut - 4, 0) // 432
 
 
 def test_a_log_that_cannot_be_written(tmp_path) -> None:

@@ -121,8 +121,8 @@ def test_an_interrupted_drive_reads_the_sweeps_that_tell_traffic(tmp_path: Path)
         def take(self, points: np.ndarray, guess: np.ndarray) -> None:
             taken.append(round(guess[0, 3] / STEP))
 
-        def align(self, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return guess, np.eye(6)
+        def align(self, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+            return guess, np.eye(6), 1.0
 
         def insert(self, pose: np.ndarray) -> None:
             inserted.append(round(pose[0, 3] / STEP))
@@ -131,7 +131,7 @@ def test_an_interrupted_drive_reads_the_sweeps_that_tell_traffic(tmp_path: Path)
     logged = LoggedRegistration(Recorded(), kept, 310, 80.0)  # type: ignore[arg-type]
     points = np.zeros((60, 3), np.float32)
     for k in range(310):
-        logged.align(k, lambda: points, pose_of(k))
+        logged.align(k, lambda: points, [pose_of(k)])
         logged.insert(k, pose_of(k))
     kept.close()
     assert inserted == list(range(logged.first, 310))

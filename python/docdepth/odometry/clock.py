@@ -2,7 +2,7 @@
 
 A clock that is set during a drive makes one interval longer or shorter, and a sweep that is stamped
 late makes two so. The vehicle drives on as it did. Where sweeps were lost, it has driven for as
-long as the stamps say.
+long as the stamps say; or for longer, if sweeps are stamped as they are counted.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from docdepth.geometry.trajectory import Trajectory
 _APART = 0.3
 """Metres between where the stamps lead and where one sweep's time leads. Poses of a first pass are
 off by less, and where it is less, nothing goes wrong."""
+_MOST_LOST = 5  # sweeps that may be missing between two that are stamped one after the other
+_SURE = 1.0  # metres a sweep; a faster vehicle does not double its speed from sweep to sweep
 _AROUND = 2  # intervals on either side, of which the median speed is taken
 
 
@@ -28,11 +30,21 @@ def possible_times(velocity: NDArray[np.float64], elapsed: float, usual: float) 
     return [elapsed, usual] if apart > _APART else [elapsed]
 
 
+def times_if_lost(velocity: NDArray[np.float64], elapsed: float, usual: float) -> list[float]:
+    """In what time it may have moved if sweeps are missing of which the stamps do not tell.
+
+    None where it is too slow to tell.
+    """
+    if usual * float(np.linalg.norm(velocity)) < _SURE:
+        return []
+    return [elapsed + lost * usual for lost in range(1, _MOST_LOST + 1)]
+
+
 def time_gone(
     moved: NDArray[np.float64], velocity: NDArray[np.float64], elapsed: float, usual: float
 ) -> float:
-    """That of the :func:`possible_times` in which it is most likely to have ``moved`` so far."""
-    times = possible_times(velocity, elapsed, usual)
+    """That of all these times in which it is most likely to have ``moved`` so far."""
+    times = possible_times(velocity, elapsed, usual) + times_if_lost(velocity, elapsed, usual)
     return min(times, key=lambda time: float(np.linalg.norm(moved - time * velocity)))
 
 
@@ -53,7 +65,9 @@ def even_stamps(
     elapsed = np.diff(times)
     moved = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     speed = moved / elapsed
-    for i in np.flatnonzero(moved * np.abs(elapsed - usual) > _APART * np.minimum(elapsed, usual)):
+    odd = moved * np.abs(elapsed - usual) > _APART * np.minimum(elapsed, usual)
+    odd[1:] |= moved[1:] > 1.5 * moved[:-1] + _SURE / 2
+    for i in np.flatnonzero(odd):
         around = np.median(speed[max(i - _AROUND, 0) : i + _AROUND + 1], keepdims=True)
         elapsed[i] = round(time_gone(moved[i : i + 1], around, float(elapsed[i]), usual))
     return times[0] + np.concatenate([[0], np.cumsum(elapsed)])
@@ -78,8 +92,8 @@ def find_clock_steps(trajectory: Trajectory) -> list[Finding]:
     first = int(wrong[0])
     text = (
         f"the stamps jump by {1e-9 * late[first]:+.2f} s between frames {first} and {first + 1}, "
-        f"but the vehicle goes on as before ({len(wrong)} such jumps): the clock was set, or "
-        "sweeps were stamped late"
+        f"but the vehicle goes on as before ({len(wrong)} such jumps): the clock was set, "
+        "sweeps were stamped late, or sweeps are missing"
     )
     remedy = (
         "images and tracks at a jump may be wrong; correct the stamps, or leave these frames out "

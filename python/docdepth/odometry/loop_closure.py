@@ -162,12 +162,12 @@ def locate_again(
     return locate(one, other, away, visit.radius, visit.turn)
 
 
-def passes(placed: Placed) -> bool:
+def passes(placed: Placed, likeness: float = _LIKENESS, overlap: float = _OVERLAP) -> bool:
     """Whether a place is the one that it was found in, as far as both alone can tell."""
     return (
-        placed.likeness >= _LIKENESS
+        placed.likeness >= likeness
         and placed.lead >= _LEAD
-        and placed.overlap >= _OVERLAP
+        and placed.overlap >= overlap
         and placed.turn <= _BACK_TURN
         and placed.shift <= _BACK_SHIFT
     )

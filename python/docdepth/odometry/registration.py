@@ -207,7 +207,7 @@ class Registration:
 
     def align(
         self, *guesses: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
         """Register the sweep that was taken, from initial guesses (4, 4).
 
         The one from which most points find their surfaces is right, as a rule: from a guess that is
@@ -218,16 +218,19 @@ class Registration:
         pose : ndarray of float64, shape (4, 4)
         covariance : ndarray of float64, shape (6, 6)
             Of its rotation [rad^2] and its position [m^2], about the axes of the world.
+        fitting : float
+            Share of its points that find their surfaces.
         """
         if self._empty:
-            return guesses[0].copy(), np.zeros((6, 6))  # it is the frame of all poses
+            return guesses[0].copy(), np.zeros((6, 6)), 1.0  # it is the frame of all poses
         assert self._cloud is not None
         found = [self._map.align(self._cloud, guess, self._threads) for guess in guesses]
         pose, hessian, inliers = max(found, key=lambda one: int(one[2]))
         # With too few inliers the guess stays.
         if inliers < FEWEST_POINTS or not np.isfinite(pose).all():
-            return guesses[0].copy(), UNKNOWN**2 * np.eye(6)
-        return nearest_rigid(pose), np.linalg.inv(hessian + UNKNOWN**-2 * np.eye(6))
+            return guesses[0].copy(), UNKNOWN**2 * np.eye(6), 0.0
+        covariance = np.linalg.inv(hessian + UNKNOWN**-2 * np.eye(6))
+        return nearest_rigid(pose), covariance, int(inliers) / len(self._cloud.normals)
 
     def insert(self, pose: NDArray[np.float64]) -> None:
         """Add the sweep that was taken to the map."""

@@ -28,8 +28,11 @@ FORGOTTEN = _HORIZON + CLEAR_CYCLE
 """Insertions after which a voxel that none of them touches is no longer in the map."""
 
 _ROW = np.dtype(
-    [("pose", "<f8", (4, 4)), ("covariance", "<f8", (6, 6)), ("usable", "<u4"), ("sum", "<u4")]
-)
+    [
+        ("pose", "<f8", (4, 4)), ("covariance", "<f8", (6, 6)), ("usable", "<u4"),
+        ("fitting", "<f8"), ("sum", "<u4"),
+    ]
+)  # fmt: skip
 _SUMMED = _ROW.itemsize - 4  # bytes of a row before its checksum
 
 
@@ -43,11 +46,14 @@ class Found(NamedTuple):
         Of its rotation [rad^2] and its position [m^2], about the axes of the world.
     usable : bool
         It has points enough. Otherwise its pose is the predicted one, and the map does not get it.
+    fitting : float
+        Share of its points that find their surfaces in the map.
     """
 
     pose: NDArray[np.float64]
     covariance: NDArray[np.float64]
     usable: bool
+    fitting: float = 1.0
 
 
 class RegistrationLog:
@@ -79,7 +85,8 @@ class RegistrationLog:
         if index >= len(self._rows):
             return None
         row = self._rows[index]
-        return Found(row["pose"].copy(), row["covariance"].copy(), bool(row["usable"]))
+        pose, covariance = row["pose"].copy(), row["covariance"].copy()
+        return Found(pose, covariance, bool(row["usable"]), float(row["fitting"]))
 
     def add(self, found: Found) -> None:
         """Add the next sweep.
@@ -92,7 +99,7 @@ class RegistrationLog:
         if self._path is None:
             return
         row = np.zeros((), _ROW)
-        row["pose"], row["covariance"], row["usable"] = found
+        row["pose"], row["covariance"], row["usable"], row["fitting"] = found
         data = row.tobytes()[:_SUMMED]
         data += _checksum(data, self._count)
         try:
