@@ -273,6 +273,8 @@ def test_tags_that_do_not_fit(tag: str) -> None:
 
 
 def test_trees_without_end() -> None:
+    with pytest.raises(ValueError, match="more than 300 digits"):
+        parse_yaml(f"a: [0x{'f' * 5000}]")
     lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
     lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 10)]
     assert parse_yaml("\n".join(lines[:3]))["a2"][8] == [[1] * 9] * 9

@@ -37,7 +37,7 @@ from docdepth.io.manifest import (
     StageEntry,
     read_manifest,
 )
-from docdepth.io.opened import read_file
+from docdepth.io.opened import read_file, read_text
 from docdepth.io.recorded_folder import STATE_DIR, RecordedFolder, check_entries
 from docdepth.io.yaml_json import parse_json
 
@@ -249,7 +249,7 @@ class RunFolder(RecordedFolder):
     def read_notes(self, name: str) -> dict[str, object]:
         """A JSON file of ``.docdepth``; empty where it is missing or damaged."""
         try:
-            found = parse_json((self.state_dir / name).read_text())
+            found = parse_json(read_text(self.state_dir / name))
         except (OSError, ValueError):
             return {}
         return found if isinstance(found, dict) else {}

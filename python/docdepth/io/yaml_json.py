@@ -9,6 +9,7 @@ import yaml
 
 from docdepth._text import UniqueLoader, explain_yaml
 
+_MOST_BITS = 1000  # of a whole number; Python does not even print one of 4300 digits
 _MOST_VALUES = 10_000_000
 """Of a tree in which YAML's aliases stand for what they repeat: nine lines can be a milliard."""
 
@@ -50,6 +51,8 @@ def parse_json(text: str | bytes) -> Any:
 
 def _count(tree: Any, known: dict[int, int]) -> int:
     """Values of a tree, those of an alias as often as it stands."""
+    if isinstance(tree, int) and tree.bit_length() > _MOST_BITS:
+        raise ValueError("a whole number has more than 300 digits")
     if not isinstance(tree, (dict, list)):
         return 1
     if id(tree) not in known:

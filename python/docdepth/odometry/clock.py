@@ -18,6 +18,7 @@ _APART = 0.3
 off by less, and where it is less, nothing goes wrong."""
 _MOST_LOST = 5  # sweeps that may be missing between two that are stamped one after the other
 _SURE = 1.0  # metres a sweep; a faster vehicle does not double its speed from sweep to sweep
+_ONWARD = 0.9  # cosine; a step that leads aside is a jump of the poses
 _AROUND = 2  # intervals on either side, of which the median speed is taken
 
 
@@ -63,10 +64,12 @@ def even_stamps(
         Nanoseconds that are usual between stamps.
     """
     elapsed = np.diff(times)
-    moved = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    steps = np.diff(poses[:, :3, 3], axis=0)
+    moved = np.linalg.norm(steps, axis=1)
     speed = moved / elapsed
     odd = moved * np.abs(elapsed - usual) > _APART * np.minimum(elapsed, usual)
-    odd[1:] |= moved[1:] > 1.5 * moved[:-1] + _SURE / 2
+    on = (steps[1:] * steps[:-1]).sum(axis=1) > _ONWARD * moved[1:] * moved[:-1]
+    odd[1:] |= on & (moved[1:] > 1.5 * moved[:-1] + _SURE / 2)
     for i in np.flatnonzero(odd):
         around = np.median(speed[max(i - _AROUND, 0) : i + _AROUND + 1], keepdims=True)
         elapsed[i] = round(time_gone(moved[i : i + 1], around, float(elapsed[i]), usual))
