@@ -13,7 +13,7 @@ from command_line import cli
 from docdepth.cli import app
 from docdepth.cli.status import changes_since_start
 from docdepth.config import replaced
-from docdepth.io.frames import read_frame
+from docdepth.io.frames import read_frame, write_frame
 from docdepth.io.recorded_folder import STATE_DIR
 from docdepth.io.run_folder import RunFolder
 
@@ -115,6 +115,17 @@ def test_nothing_in_a_run_leads_elsewhere(docdepth, copies, tmp_path, place, mak
         assert ended.code == 2
         assert f"{run / place} is " in ended.err
     assert (tmp_path / "kept" / "frames").is_dir()
+
+
+@pytest.mark.parametrize("value", [np.nan, 2e6])
+def test_a_frame_that_no_lidar_has_seen(docdepth, copies, tmp_path, value):
+    _, run = copies
+    frame = read_frame(path := run / "frames" / "frame_000001.ply")
+    frame.points[7, 1] = value
+    write_frame(path, frame)
+    ended = docdepth("convert", run, tmp_path / "grids", "--to", "occupancy")
+    assert ended.code == 2
+    assert "frame_000001.ply is damaged (a point is not finite, or 1000 km away)" in ended.err
 
 
 @pytest.mark.parametrize("name", [".docdepth/records/frames.jsonl", "frames/.x.ply.part"])

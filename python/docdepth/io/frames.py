@@ -28,6 +28,7 @@ _TRAJECTORY = np.dtype(
     + [("indices", "<i4"), ("seconds", "<u4"), ("nanoseconds", "<u4")]
 )
 _GRID = 2.0**-48  # of quaternions in files: 7e-15 radians, 16 times what a double loses
+_FARTHEST = 1e6  # metres, of a coordinate; no LiDAR sees so far
 _LARGE = 0.4  # the largest component of a unit quaternion is at least 0.5
 _SECONDS = {"<u4": (0, 1 << 32), "<i4": (-(1 << 31), 1 << 31)}
 """Limits of what holds the seconds: 1970 to 2106, or 1902 to 2038 where a stamp is before 1970."""
@@ -278,6 +279,19 @@ def _points(path: Path, rows: NDArray[Any]) -> NDArray[np.float32]:
     if not {"x", "y", "z"} <= set(rows.dtype.names or ()):
         raise DamagedFileError(path, "it has no x y z")
     return np.stack([np.ascontiguousarray(rows[name], np.float32) for name in "xyz"], axis=1)
+
+
+def checked(path: Path, points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The points of a frame, all of which a LiDAR may have seen.
+
+    Raises
+    ------
+    RunError
+        A point is not finite, or farther away than any LiDAR sees.
+    """
+    if not (np.abs(points) < _FARTHEST).all():
+        raise DamagedFileError(path, "a point is not finite, or 1000 km away")
+    return points
 
 
 def _count(path: Path, text: str) -> int:

@@ -22,6 +22,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import move_aside, write_atomically
 from docdepth.io.calibration import read_calibration
 from docdepth.io.frames import (
+    checked,
     read_frame,
     read_points,
     read_sensors,
@@ -31,12 +32,7 @@ from docdepth.io.frames import (
     write_sensors,
 )
 from docdepth.io.inputs import DerivedInputs, RunInputs
-from docdepth.io.manifest import (
-    CameraEntry,
-    RunManifest,
-    StageEntry,
-    read_manifest,
-)
+from docdepth.io.manifest import CameraEntry, RunManifest, StageEntry, read_manifest
 from docdepth.io.opened import read_file, read_text
 from docdepth.io.recorded_folder import STATE_DIR, RecordedFolder, check_entries
 from docdepth.io.yaml_json import parse_json
@@ -286,7 +282,10 @@ class RunFolder(RecordedFolder):
     def deskewed(self, index: int) -> LidarFrame:
         """Frame number ``index`` as odometry wrote it."""
         self.check_has_frames()
-        return read_frame(self.frame_path(index), partial(read_sensors, self.sensors_path))
+        path = self.frame_path(index)
+        frame = read_frame(path, partial(read_sensors, self.sensors_path))
+        checked(path, frame.points)
+        return frame
 
     def classified_frame(self, index: int) -> tuple[LidarFrame, NDArray[np.uint16]]:
         """Frame number ``index`` and its classes.
@@ -307,7 +306,7 @@ class RunFolder(RecordedFolder):
     def points(self, index: int) -> NDArray[np.float32]:
         """The points of frame number ``index``; faster than reading the whole frame."""
         self.check_has_frames()
-        return read_points(self.frame_path(index))
+        return checked(self.frame_path(index), read_points(self.frame_path(index)))
 
     def write_sensors(self, sensor_rig: SensorRig, key: dict[str, str]) -> None:
         """Write where the LiDARs or their lasers sit, once for all frames."""
