@@ -55,7 +55,7 @@ def count_steps(log: Path) -> None:
     counted(sweeps.DeskewedSweeps, "deskewed", "deskewed")
     counted(classify, "label_chunk", "ground of a chunk")
     counted(sweep_classifier.SweepClassifier, "_classify", "voted")
-    counted(sweep_classifier.SweepClassifier, "track", "tracked")
+    counted(classify, "track_objects", "tracked")
     counted(sweep_store.FrameStore, "evidence", "labelled")
     counted(render, "compose_depth", "drawn")
 
