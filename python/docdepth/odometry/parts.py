@@ -1,9 +1,9 @@
 """Parts of a recording between gaps, laid together where they see the same place.
 
-Nobody knows what a vehicle did in a gap of seconds or hours. So motion is not carried over it: each
-part is registered as if it were alone. What the last sweeps before a gap see is then looked for in
-what the first ones behind it see, as far as the vehicle may have gone. A part that does not fit is
-put where it meets no other, and this is said.
+Nobody knows what a vehicle did in a gap of seconds or hours. So each part is registered as if it
+were alone. What the last sweeps before a gap see is then looked for in what the first ones behind
+it see: first where the motion led, if the gap is short, then as far as the vehicle may have gone. A
+part that does not fit is put where it meets no other, and this is said.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ APART = 1000.0
 """Metres between a part that does not fit and all before it. No LiDAR sees so far."""
 
 _ACCELERATION, _TURN = 4.0, 0.6  # metres/s^2, radians/s; a vehicle hardly does more for seconds
-_KNOWN = 10.0  # metres; motion that leads farther astray, in two seconds, is no start
+_MOST_UNSURE = 10.0  # metres that motion may lead astray, in two seconds; beyond it is no start
 _ALIKE, _OVERLAP = 0.45, 0.4
-"""Likeness, for what both places can show, and share of what stands in either, by this start: right
-ones had 0.51 to 0.78 and 0.45 to 0.62, wrong ones that fit the other way 0.28 and 0.32."""
+"""Least likeness and overlap of two places, of which the motion told where to look. Likeness counts
+the part that both can see. Right places had 0.51 to 0.78 and 0.45 to 0.62; wrong ones that matched
+in both directions had 0.28 and 0.32."""
 _LEAST = 2.0  # metres; by which poses may err, and a pixel of a map
 
 
@@ -101,7 +102,7 @@ def _step(
     unsure = _LEAST + _ACCELERATION / 2 * seconds**2
     turn = min(_TURN * seconds, np.pi)
     far = float(np.linalg.norm(way))
-    if unsure <= _KNOWN and far < REACH:
+    if unsure <= _MOST_UNSURE and far < REACH:
         placed = locate(one, other, way, unsure, turn)
         if _fits(placed):
             return placed.pose
