@@ -348,8 +348,8 @@ OPTIONS = [
     ("output: a dead link", ["run", "d", "-o", "l"], link("l", "no"), DocDepthError, "l"),
     ("output: a link loop", ["run", "d", "-o", "l"], link("l", "l"), DocDepthError, "l"),
     ("output: read-only", ["run", "d", "-o", "/proc/run"], None, DocDepthError, "/proc/run"),
-    ("not this stage's", ["odometry", "r", "--set", "render.step=1"], None, DocDepthError,
-     "render.step odometry"),
+    ("not this stage's", ["render", "r", "--set", "odometry.min_range=1"], None, DocDepthError,
+     "odometry.min_range render"),
 ]  # fmt: skip
 
 RUNS = [
@@ -361,7 +361,7 @@ RUNS = [
     ("run.yaml gone", AGAIN, remove("r/run.yaml"), REPAIRED, ""),
     ("run.yaml, a typo", ["run", "r"],
      text("r/run.yaml", lambda t: t.replace("tolerance:", "tolerence:")), ConfigError, "tolerence"),
-    ("no stages", ["classify", "r"], write("r/run.yaml", b"source: {}\nparameters: {}\n"),
+    ("no stages", ["run", "r"], write("r/run.yaml", b"source: {}\nparameters: {}\n"),
      REPAIRED, ""),
     ("moved", ["run", "d2", "-o", "r"], move("d", "d2"), REPAIRED, ""),
     ("moved, run alone", ["run", "r"], move("d", "d2"), DocDepthError, "d"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -63,6 +64,16 @@ def test_completion_knows_options_and_values():
     assert "--image-size" in complete("docdepth run --im")
 
 
+def test_the_help_of_run_fits_one_screen_and_all_of_it_is_at_hand(docdepth, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    some, every = docdepth("run", "--help").out, docdepth("run", "--help-all").out
+    names = [set(re.findall(r"│ (--[\w-]+)", text)) for text in (some, every)]
+    shared = {"--quiet", "--verbose", "--help", "--help-all"}
+    assert len(some.splitlines()) <= 40
+    assert len(names[0] - shared) == 10
+    assert names[0] < names[1] > {"--poses-as-given", "--scheduler", "--mask", "--config"}
+
+
 def test_parameters_are_listed(docdepth):
     rows = json.loads(docdepth("parameters", "--json").out)
     names = {f"{s}.{n}" for s, g in Parameters() if s != "preset" for n, _ in g}
@@ -75,7 +86,7 @@ def test_parameters_are_listed(docdepth):
 def test_quiet_says_nothing_and_verbose_more(docdepth, drive, tmp_path):
     ended = docdepth("run", drive, "-o", tmp_path / "run", "-q")
     assert ended == (0, "", "")
-    assert docdepth("--quiet", "classify", tmp_path / "run") == (0, "", "")
+    assert docdepth("--quiet", "run", tmp_path / "run") == (0, "", "")
     table = docdepth("evaluate", "labels", tmp_path / "run", "--labels", drive, "-q")
     assert "SA" in table.out
     assert table.err == ""
@@ -93,7 +104,7 @@ def test_a_run_is_told_in_json(docdepth, drive, tmp_path):
 
 @pytest.mark.parametrize(
     ("verb", "setting"),
-    [("render", "render.max_depth=700"), ("render", "render.ahead=-1"), ("odometry", "x.y=1")],
+    [("render", "render.max_depth=700"), ("render", "render.ahead=-1"), ("run", "x.y=1")],
 )
 def test_a_refused_setting_is_not_kept(finished, verb, setting):
     manifest = finished[0] / "run.yaml"

@@ -68,9 +68,9 @@ def test_one_command_takes_back_all_changes_of_a_stage(finished):
 def test_paragraphs_of_help_are_broken_at_the_width_of_the_terminal_alone(docdepth, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     said = [line.strip() for line in docdepth("run", "-h").out.splitlines()]
-    whole = "makes again what is missing, damaged or out of date."
+    whole = "A run by itself takes other parameters, formats and layers."
     assert any(line.endswith(whole) for line in said)
-    assert "docdepth run --config run/run.yaml -o again" in said
+    assert "docdepth run run --layers normal" in said
 
 
 def test_a_folder_that_was_deleted_while_one_stands_in_it(docdepth, drive, tmp_path, monkeypatch):
@@ -110,7 +110,7 @@ def test_nothing_in_a_run_leads_elsewhere(docdepth, copies, tmp_path, place, mak
         shutil.rmtree(run / place)
     (run / place).unlink(missing_ok=True)
     make(run / place, tmp_path / "kept")
-    for verb in (("run", above, "-o", run), ("status", run), ("report", run)):
+    for verb in (("run", above, "-o", run), ("status", run), ("run", run)):
         ended = docdepth(*verb)
         assert ended.code == 2
         assert f"{run / place} is " in ended.err
@@ -140,7 +140,7 @@ def test_what_is_added_to_has_no_second_name(docdepth, copies, tmp_path, name):
     assert kept.read_text() == "of somebody else"
 
 
-REFUSED = {"check", "demo", "doctor", "evaluate", "parameters", "status", "view"}
+REFUSED = {"demo", "doctor", "evaluate", "parameters", "status", "view"}
 """Verbs that write nothing of their own, or no file that is there."""
 
 
@@ -150,7 +150,6 @@ def test_no_verb_loses_what_somebody_wrote_or_changed(docdepth, copies, tmp_path
     labels, out = run / "labels", tmp_path / "out"
     verbs = {
         "inspect": (above, "-o", out / "page.html"),
-        "report": (run,),
         "map": (run,),
         "video": (run,),
         "tune": (
@@ -165,10 +164,8 @@ def test_no_verb_loses_what_somebody_wrote_or_changed(docdepth, copies, tmp_path
         "calibrate": ("--check", run, "-o", out / "calibrate"),
         "convert": (run, out / "poses.txt", "--to", "tum"),
         "synth": (out / "synth", "--frames", "2", "--sensor", "VLP-16", "--force"),
-        "odometry": (run, "--set", "odometry.voxel_size=1.1"),
-        "classify": (run, "--set", "dynamics.tolerance=0.3"),
         "render": (run, "--set", "render.behind=30"),
-        "run": (above, "-o", run, "--force"),
+        "run": (run, "--set", "odometry.voxel_size=1.1"),
     }
     known = {command.name or command.callback.__name__ for command in app.registered_commands}
     assert known | {group.name for group in app.registered_groups} == {*verbs, *REFUSED}

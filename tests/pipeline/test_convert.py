@@ -72,7 +72,7 @@ def test_poses_of_a_recording_and_of_a_camera(root, tmp_path):
             read_poses(file), read_poses(root / "drive" / "poses.txt"), atol=1e-5
         )
     # Back again: the camera's poses are the LiDAR's once the camera is named.
-    check = cli("check", root / "drive", "--poses", f"image_2:{tmp_path / 'run.txt'}")
+    check = cli("run", root / "drive", "--dry-run", "--poses", f"image_2:{tmp_path / 'run.txt'}")
     assert check.exit_code == 0
 
 

@@ -120,7 +120,7 @@ def test_a_second_process_is_told_and_leaves_the_run_alone(
     wait_for(tmp_path / "run" / "frames" / "frame_000001.ply")
     commands = (
         ["run", drive, "-o", tmp_path / "run", "--camera", "image_2"],
-        ["odometry", tmp_path / "run", "--set", "odometry.min_range=3.5"],
+        ["run", tmp_path / "run", "--set", "odometry.min_range=3.5"],
     )
     for command in commands:
         second = subprocess.run(

@@ -157,7 +157,7 @@ def test_classes_and_instances_are_those_of_the_files(root, other, tmp_path):
     )
 
 
-def test_render_takes_labels_and_classify_takes_them_back(root, other, tmp_path):
+def test_render_takes_labels_and_run_takes_them_back(root, other, tmp_path):
     output = tmp_path / "run"
     shutil.copytree(root / "own", output)
     assert cli("render", output, "--labels", other).exit_code == 0
@@ -168,9 +168,8 @@ def test_render_takes_labels_and_classify_takes_them_back(root, other, tmp_path)
     assert maps(output) == maps(root / "own")
     assert (output / "tracks.csv").exists()
     assert cli("render", output, "--labels", other).exit_code == 0
-    assert cli("classify", output).exit_code == 0
+    assert run(root, output, "--force").exit_code == 0
     assert RunFolder.open(output).inputs.labels is None
-    assert cli("render", output).exit_code == 0
     assert maps(output) == maps(root / "own")
     for ours, theirs in zip(classes(output), classes(root / "own"), strict=True):
         np.testing.assert_array_equal(ours, theirs)
@@ -305,7 +304,7 @@ def test_rows_of_tracks_are_cut_to_the_letter(tmp_path):
         cut_tracks(tmp_path / "none.csv", times)
 
 
-@pytest.mark.parametrize("command", ["check", "run", "render"])
+@pytest.mark.parametrize("command", ["run", "render"])
 def test_labels_that_do_not_fit(root, other, tmp_path, command):
     output = tmp_path / "run"
     if command == "render":
@@ -316,11 +315,9 @@ def test_labels_that_do_not_fit(root, other, tmp_path, command):
         if command == "render":
             ended = cli("render", output, "--labels", labels)
             assert (output / "run.yaml").read_bytes() == before
-        elif command == "run":
+        else:
             ended = run(root, output, "--labels", labels)
             assert not output.exists()
-        else:
-            ended = cli("check", root / "drive", "--labels", labels)
         assert ended.exit_code == 2
         return f"{ended.exception} {ended.stderr}"
 

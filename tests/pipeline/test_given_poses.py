@@ -81,9 +81,9 @@ def test_a_recording_without_poses_is_refused(tmp_path):
     folder = write_small_drive(tmp_path / "drive", images=False)
     with pytest.raises(DatasetError, match=r"drive has no poses of its own; give a file"):
         poses_of(folder, "dataset")
-    refused = cli("check", folder, "--image-size", "96x40", "--poses", "dataset")
+    refused = cli("run", folder, "--dry-run", "--image-size", "96x40", "--poses", "dataset")
     assert refused.exit_code == 2
-    assert "no poses of its own" in refused.stderr
+    assert "no poses of its own" in str(refused.exception)
 
 
 def test_poses_of_a_camera_are_told_by_its_name(drive):
@@ -110,13 +110,13 @@ def test_poses_of_a_camera_given_as_the_lidar_s_are_refused(drive, tmp_path):
     assert refused.exit_code == 2
     assert f"say which camera: `poses='image_2:{file}'`" in str(refused.exception)
     assert not (tmp_path / "run" / "frames").exists()
-    assert cli("check", drive, "--poses", f"image_2:{file}").exit_code == 0
-    assert cli("check", drive, "--poses", drive.parent / "lidar.txt").exit_code == 0
+    assert cli("run", drive, "--dry-run", "--poses", f"image_2:{file}").exit_code == 0
+    assert cli("run", drive, "--dry-run", "--poses", drive.parent / "lidar.txt").exit_code == 0
 
 
 def test_an_unreadable_recording_is_told_before_its_poses(tmp_path):
     (tmp_path / "drive" / "velodyne").mkdir(parents=True)
-    refused = cli("check", tmp_path / "drive", "--poses", "dataset")
+    refused = cli("run", tmp_path / "drive", "--dry-run", "--poses", "dataset")
     assert refused.exit_code == 2
-    assert "dataset cannot" not in refused.stderr
-    assert "is missing; give the file of the poses" not in refused.stderr
+    assert "dataset cannot" not in str(refused.exception)
+    assert "is missing; give the file of the poses" not in str(refused.exception)

@@ -128,10 +128,8 @@ def test_what_needs_frames_says_how_to_have_them(root: Path) -> None:
     place = root / "results"
     before = contents(place) | {"run.yaml": (place / "run.yaml").read_bytes()}
     for command in (
-        ("classify", place, "--set", "dynamics.tolerance=0.3"),
         ("render", place, "--set", "render.ahead=5"),
         ("map", place),
-        ("report", place),
         ("video", place, "--above"),
         ("inspect", place),
         ("convert", place, root / "pcd", "--to", "pcd"),

@@ -17,12 +17,15 @@ import pytest
 
 from command_line import cli
 from docdepth.cli.terminal import as_commands
+from docdepth.config import replaced
 from docdepth.errors import RunError
 from docdepth.io.depth import read_depth
 from docdepth.io.poses import write_kitti
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.odometry import run_odometry
 from docdepth.pipeline.plan import states
 from docdepth.pipeline.run import continue_run
+from docdepth.pipeline.run_inputs import known_poses, open_recording
 from small_drive import SPARSE, SWEEPS, write_image, write_small_drive, write_sweep
 from walled_yard import scan, straight
 
@@ -71,7 +74,10 @@ def refused(*arguments: object) -> str:
 
 def test_results_of_a_changed_stage_are_not_used(root):
     """Finding 27."""
-    assert cli("odometry", root / "run", "--set", "odometry.min_range=3.5").exit_code == 0
+    folder = RunFolder.open(root / "run")  # as an interrupted command leaves it
+    folder.manifest.parameters = replaced(folder.parameters, {"odometry.min_range": 3.5})
+    recording = open_recording(folder.inputs, folder.manifest.derived)
+    run_odometry(folder, recording, known_poses(folder.inputs, recording))
     found = state_of(root)
     assert found["odometry"] == ("done", "")
     assert found["classify"][0] == found["render image_2"][0] == "out of date"
@@ -89,10 +95,26 @@ def test_results_of_a_changed_stage_are_not_used(root):
     # The first command goes on with the changed parameter and tells how to go back.
     result = again(root)
     assert result.exit_code == 0
-    back = f"docdepth odometry {root / 'run'} --set odometry.min_range=3.0"
+    back = f"docdepth run {root / 'run'} --set odometry.min_range=3.0"
     assert f"odometry.min_range is 3.5, was 3.0; back: {back}" in result.output
     assert {state for state, _ in state_of(root).values()} == {"done"}
     assert cli("evaluate", "held-out", root / "run").exit_code == 0
+
+
+def test_a_run_by_itself_takes_parameters_and_goes_back(root):
+    run, before = root / "run", files(root / "run")
+    changed = cli("run", run, "--set", "dynamics.tolerance=0.3", "--format", "png,npy")
+    assert changed.exit_code == 0
+    assert {state for state, _ in state_of(root).values()} == {"done"}
+    assert RunFolder.open(run).parameters.dynamics.tolerance == 0.3
+    assert len(list((run / "depth").glob("*.npy"))) == len(list((run / "depth").glob("*.png")))
+    back = re.search(r"back: docdepth (.*)", changed.output)[1].split()
+    assert cli(*back).exit_code == 0
+    assert files(run) == before
+    text = refused("run", run, "--set", "dynamics.tolerance=0.3", "--frames", "0:2")
+    assert "a run alone keeps its inputs" in text
+    assert cli("run", run, "--set", "x.y=1").exit_code == 2
+    assert files(run) == before
 
 
 def test_changed_inputs_are_noticed(root):

@@ -15,7 +15,6 @@ import typer
 from docdepth._core import __version__
 from docdepth.cli import (  # noqa: F401
     calibrate,
-    check,
     convert,
     doctor,
     evaluate,

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from docdepth.cli.options import DatasetName, Json, one_of, option, option_of, verb
-from docdepth.cli.terminal import out, progress_bars, say, show_json
+from docdepth.cli.progress import progress_bars
+from docdepth.cli.terminal import out, say, show_json
 from docdepth.datasets import Dataset, ImageStream, image_streams, open_dataset
 from docdepth.errors import CalibrationError, ConfigError
 from docdepth.evaluation.camera_error import check_calibration

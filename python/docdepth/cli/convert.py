@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from docdepth.cli.options import DatasetName, one_of, option, verb
-from docdepth.cli.terminal import progress_bars, say, volume
+from docdepth.cli.progress import progress_bars
+from docdepth.cli.terminal import say, volume
 from docdepth.errors import ConfigError
 from docdepth.export import EXPORTS, export
 from docdepth.io.labels import LABEL_FORMATS

@@ -10,8 +10,9 @@ from typing import Annotated
 import typer
 
 from docdepth.cli.options import MODES, Json, OneCamera, RunPath, Threads, one_of, option, verb
+from docdepth.cli.progress import progress_bars
 from docdepth.cli.status import show, show_findings
-from docdepth.cli.terminal import app, err, progress_bars, say
+from docdepth.cli.terminal import app, err, say
 from docdepth.datasets import CameraStream
 from docdepth.diagnostics.error_sources import find_error_sources
 from docdepth.errors import Finding, RunError

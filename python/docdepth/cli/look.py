@@ -1,4 +1,4 @@
-"""Verbs that show a run: its report, a video, and a view in three dimensions."""
+"""Verbs that show a run: a map, a video, and a view in three dimensions."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from tempfile import gettempdir
 from typing import Annotated, get_args
 
 from docdepth.cli.options import OneCamera, RunPath, one_of, option, verb
-from docdepth.cli.terminal import progress_bars, say, volume
+from docdepth.cli.progress import progress_bars
+from docdepth.cli.terminal import say, volume
 from docdepth.errors import ConfigError
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import cloud_map
 from docdepth.pipeline.plan import require
-from docdepth.pipeline.render import report as write_report
 from docdepth.pipeline.run_inputs import cameras_at_hand, recorded_camera
 from docdepth.visualization.drive_scene import Coloring
 from docdepth.visualization.rerun_recording import write_rerun
@@ -21,16 +21,6 @@ from docdepth.visualization.video import write_video, write_video_from_above
 from docdepth.visualization.viewer import RunView
 
 COLORINGS: tuple[str, ...] = get_args(Coloring)
-
-
-@verb()
-def report(run: RunPath) -> None:
-    """Write report/index.html anew: the whole run on one page, for any browser.
-
-    The drive from above with what moves, images with depth, classes and layers, density, held-out
-    errors, time, warnings and parameters. Every run ends with it.
-    """
-    say(str(write_report(RunFolder.open(run))))
 
 
 @verb(name="map")

@@ -13,15 +13,15 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 import typer
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
+from typer.core import TyperCommand, TyperOption
 
 from docdepth._text import parse_settings
 from docdepth.cli.terminal import app, set_volume, volume
-from docdepth.config import DepthFormat, Layer, Preset, replaced
+from docdepth.config import DepthFormat, Layer, Preset
 from docdepth.datasets import experimental_formats, format_names
 from docdepth.errors import ConfigError
 from docdepth.evaluation.depth import Mode
 from docdepth.io.inputs import RunInputs
-from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.execution import Execution
 
 DATASETS = format_names()
@@ -55,7 +55,7 @@ def one_of(names: Iterable[str], several: bool = False) -> dict[str, Any]:
         return [before + comma + n for n in known if n.startswith(last) and n not in taken]
 
     parse.__name__ = "name"  # typer asks for it
-    metavar = "NAME[,NAME...]" if several else "NAME"
+    metavar = "NAME,..." if several else "NAME"
     return {"metavar": metavar, "parser": parse, "autocompletion": complete}
 
 
@@ -117,11 +117,42 @@ Verbose = Annotated[
 ]
 
 
+_ALL = "docdepth.help_all"
+
+
+def _help_all(ctx: typer.Context, wanted: bool) -> None:
+    if wanted:
+        ctx.meta[_ALL] = True
+        typer.echo(ctx.get_help())
+        raise typer.Exit
+
+
+HelpAll = Annotated[
+    bool, option("Show every option.", flags="--help-all", is_eager=True, callback=_help_all)
+]
+
+
+def _brief(common: Sequence[str]) -> type[TyperCommand]:
+    """A command whose ``--help`` shows these options alone, each in a few words."""
+
+    class Brief(TyperCommand):
+        def format_help(self, ctx: Any, formatter: Any) -> None:
+            if _ALL not in ctx.meta:
+                for one in self.params:  # hidden only here: completion leaves hidden ones out
+                    if isinstance(one, TyperOption):
+                        one.hidden = one.name not in common
+                        one.help = re.split(r"[.:;] ", one.help or "")[0].rstrip(".")
+            super().format_help(ctx, formatter)
+
+    return Brief
+
+
 def verb(
     group: typer.Typer = app,
     name: str | None = None,
     *,
     but: Sequence[str] = (),
+    common: Sequence[str] = (),
     **models: type[BaseModel],
 ) -> Callable[[_Verb], _Verb]:
     """Make a function a verb, which takes ``--quiet`` and ``--verbose`` as well.
@@ -133,6 +164,8 @@ def verb(
         That of the function if absent.
     but : sequence of str
         Fields of the models without an option.
+    common : sequence of str
+        Options that ``--help`` shows, where ``--help-all`` shows all; else it shows all.
     **models
         By an argument of the function: it gets the values of the options that were given of those
         that each described field has.
@@ -149,6 +182,7 @@ def verb(
     def register(function: _Verb) -> _Verb:
         @wraps(function)
         def call(quiet: bool, verbose: bool, **values: Any) -> Any:
+            values.pop("help_all", None)
             set_volume(quiet or volume.quiet, verbose or volume.verbose)
             for argument, of_model in fields.items():
                 every = {name: values.pop(name) for name in of_model}
@@ -168,8 +202,9 @@ def verb(
             else:
                 hints[argument.name] = argument.annotation
                 defaults[argument.name] = argument.default
-        hints |= {"quiet": Quiet, "verbose": Verbose}
-        defaults |= {"quiet": False, "verbose": False}
+        more = {"quiet": Quiet, "verbose": Verbose} | ({"help_all": HelpAll} if common else {})
+        hints |= more
+        defaults |= dict.fromkeys(more, False)
         call.__signature__ = inspect.Signature([  # type: ignore[attr-defined]
             inspect.Parameter(
                 name, inspect.Parameter.KEYWORD_ONLY, default=defaults[name], annotation=hint
@@ -178,7 +213,8 @@ def verb(
         ])  # fmt: skip
         call.__annotations__ = hints
         call.__doc__ = _unwrapped(function)
-        group.command(name)(call)
+        shown = (*common, *more, "help")
+        group.command(name, cls=_brief(shown) if common else None)(call)
         return function
 
     return register
@@ -212,14 +248,14 @@ Settings = Annotated[
     option(
         "Set one parameter, for example dynamics.tolerance=0.3; repeat it for more. docdepth "
         "parameters lists all.",
-        "STAGE.NAME=VALUE",
+        "NAME=VALUE",
         "--set",
     ),
 ]
 Formats = Annotated[
     list[str] | None,
     option(
-        f"Files of each depth map: {', '.join(FORMATS)}; png if absent.",
+        f"Formats of the depth maps ({', '.join(FORMATS)}); png if absent.",
         **one_of(FORMATS, several=True),
     ),
 ]
@@ -230,7 +266,7 @@ Scale = Annotated[
 LayerNames = Annotated[
     list[str] | None,
     option(
-        f"Further arrays per pixel, written beside the depth: {', '.join(LAYERS)}; none if absent.",
+        f"More arrays per pixel ({', '.join(LAYERS)}), written beside the depth; none if absent.",
         **one_of(LAYERS, several=True),
     ),
 ]
@@ -254,14 +290,6 @@ def changes(
     if layers:
         chosen["output.layers"] = ",".join(layers)
     return parse_settings(settings or []) | chosen
-
-
-def reopen(path: Path, changed: Mapping[str, object], *stages: str) -> RunFolder:
-    """A run with some parameters of one stage replaced; kept in run.yaml once a stage uses them."""
-    check_stages(changed, *stages)
-    folder = RunFolder.open(path)
-    folder.manifest.parameters = replaced(folder.parameters, changed)
-    return folder
 
 
 def check_stages(changed: Mapping[str, object], *stages: str) -> None:

@@ -1,4 +1,4 @@
-"""Verbs that run the stages."""
+"""Verbs that make a run, and draw it again."""
 
 from __future__ import annotations
 
@@ -23,42 +23,44 @@ from docdepth.cli.options import (
     one_of,
     option,
     option_of,
-    reopen,
     verb,
 )
+from docdepth.cli.progress import progress_bars
 from docdepth.cli.status import show_states, show_summary
-from docdepth.cli.terminal import out, progress_bars, say, show_json
+from docdepth.cli.terminal import out, say, show_json
 from docdepth.config import Parameters, parameters
 from docdepth.errors import ConfigError
 from docdepth.io.inputs import RunInputs, names_in
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline import run_classify, run_odometry
 from docdepth.pipeline.cameras import virtual_camera
 from docdepth.pipeline.execution import Execution
-from docdepth.pipeline.plan import require
 from docdepth.pipeline.render_again import render_again
 from docdepth.pipeline.run import continue_run, run_stages
 from docdepth.pipeline.run_all import run_all
-from docdepth.pipeline.run_inputs import known_poses, open_recording
 from docdepth.render.backends import Renderer
 
+_COMMON = (
+    *("output", "camera", "frames", "poses", "calibration"),
+    *("settings", "layers", "format", "jobs", "dry_run"),
+)
+"""Options that most people use."""
 
-@verb(inputs=RunInputs, execution=Execution)
+
+@verb(inputs=RunInputs, execution=Execution, common=_COMMON)
 def run(
     recording: Annotated[
         Path | None,
         typer.Argument(
             metavar="RECORDING",
-            help="A recording (its folder, or a bag), or the folder of a run; that of --config if "
-            "absent. A run alone, without -o, is brought up to date.",
+            help="A recording (its folder, or a bag), or a run, which is brought up to date; that "
+            "of --config if absent.",
             show_default=False,
         ),
     ] = None,
     output: Annotated[
         Path | None,
         option(
-            "Run folder: created, or continued if it is there; RECORDING_run in this folder if "
-            "absent.",
+            "Run folder, created or continued; RECORDING_run in this folder if absent.",
             "RUN",
             "-o --output",
         ),
@@ -97,22 +99,21 @@ def run(
     execution: dict[str, object],
     as_json: Json = False,
 ) -> None:
-    """Turn a recording into a depth map for every camera image: all stages.
+    """Turn a recording into a depth map for every camera image.
 
-    The same command continues a run that was interrupted, and makes again what is missing, damaged
-    or out of date.
+    The same command continues a run, and makes again what is missing, damaged or out of date. A run
+    by itself takes other parameters, formats and layers.
 
       docdepth run 2011_09_26_drive_0005_sync -o run --camera image_02
-      docdepth run --config run/run.yaml -o again
-
-      docdepth run --all 2011_09_26 -o runs --jobs 8
+      docdepth run run --layers normal
     """
     how = Execution(**execution)
     show = show_states if how.dry_run else show_summary
     if output is None and (recording is None or (recording / "run.yaml").is_file()) and not every:
-        chosen = [every, config, preset, settings, format, scale, layers, how.memory]
-        is_alone = not (inputs or how.force or any(one is not None for one in chosen))
-        return show(_continue(recording, how, is_alone), as_json)
+        begun = [config, preset, how.memory]
+        is_alone = not (inputs or how.force or any(one is not None for one in begun))
+        changed = changes(settings, format, scale, layers)
+        return show(_continue(recording, changed, how, is_alone), as_json)
     file = read_config(config) if config else RunConfigFile(None, "default", {})
     place = recording or every
     if place is not None:
@@ -135,17 +136,19 @@ def run(
     return show(folder, as_json)
 
 
-def _continue(run: Path | None, how: Execution, is_alone: bool) -> RunFolder:
-    """Bring a run up to date by its run.yaml."""
+def _continue(
+    run: Path | None, changed: dict[str, object], how: Execution, is_alone: bool
+) -> RunFolder:
+    """Bring a run up to date by its run.yaml, perhaps with other parameters."""
     if run is None or not (run / "run.yaml").is_file():
         raise ConfigError("no recording: docdepth run RECORDING, or docdepth run RUN")
     if not is_alone:
         raise ConfigError(
-            "a run alone goes on with what run.yaml holds: give no other option, or RECORDING and "
-            "-o RUN"
+            "a run alone keeps its inputs: give no other option than --set, --format, --scale and "
+            "--layers, or RECORDING and -o RUN"
         )
     with progress_bars() as progress:
-        return continue_run(run, how.but(progress=progress))
+        return continue_run(run, changed, how.but(progress=progress))
 
 
 def _run_all(
@@ -166,31 +169,6 @@ def _run_all(
         say(*(f"failed: {recording}: {sentence}" for recording, sentence in said.items()))
     if failed:
         raise typer.Exit(BUG if None in told.values() else MISTAKE)
-
-
-@verb()
-def odometry(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
-    """Repeat odometry and deskewing, with other parameters."""
-    folder = reopen(run, changes(settings), "odometry")
-    recording = open_recording(folder.inputs, folder.manifest.derived)
-    with progress_bars() as progress:
-        run_odometry(folder, recording, known_poses(folder.inputs, recording), progress, threads)
-    show_summary(folder)
-
-
-@verb()
-def classify(run: RunPath, settings: Settings = None, threads: Threads = 0) -> None:
-    """Repeat ground growing, voting and classification, with other parameters.
-
-    Classes of another method (--labels) are replaced.
-    """
-    folder = reopen(run, changes(settings), "ground", "dynamics")
-    if folder.manifest.inputs is not None:
-        folder.manifest.inputs = folder.manifest.inputs.but(labels=None)
-    require(folder, "odometry")
-    with progress_bars() as progress:
-        run_classify(folder, threads, progress)
-    show_summary(folder)
 
 
 @verb()

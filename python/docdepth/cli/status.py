@@ -14,9 +14,6 @@ from docdepth.io.atomic import holder
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.plan import states
 
-_VERBS = {"odometry": "odometry", "ground": "classify", "dynamics": "classify"}
-"""The verb that changes the parameters of a stage; ``render`` for all others."""
-
 _LEAST_SHARE = 0.1
 """Of the seconds of a stage: smaller steps are not shown."""
 
@@ -118,25 +115,28 @@ def _summary_of(folder: RunFolder) -> dict[str, Any]:
 
 
 def changes_since_start(folder: RunFolder) -> list[str]:
-    """A sentence for each verb that has changed parameters, with the command that goes back."""
+    """A sentence that tells which parameters were changed, with the command that goes back."""
     if folder.manifest.parameters_at_start is None:
         return []
     at_start = folder.manifest.parameters_at_start.model_dump(mode="json")
     now = folder.parameters.model_dump(mode="json")
-    sentences: list[str] = []
-    for name in dict.fromkeys([*_VERBS.values(), "render"]):
-        changed = [
-            (f"{stage}.{key}", now[stage][key], value)
-            for stage, values in at_start.items()
-            if isinstance(values, dict) and _VERBS.get(stage, "render") == name
-            for key, value in values.items()
-            if now[stage][key] != value
-        ]
-        if changed:
-            what = ", ".join(f"{key} is {new}, was {old}" for key, new, old in changed)
-            back = " ".join(f"--set {key}={old}" for key, _, old in changed)
-            sentences.append(f"{what}; back: docdepth {name} {folder.path} {back}")
-    return sentences
+    changed = [
+        (f"{stage}.{key}", now[stage][key], value)
+        for stage, values in at_start.items()
+        if isinstance(values, dict)
+        for key, value in values.items()
+        if now[stage][key] != value
+    ]
+    if not changed:
+        return []
+    what = ", ".join(f"{key} is {_shown(new)}, was {_shown(old)}" for key, new, old in changed)
+    back = " ".join(f"--set {key}={_shown(old)}" for key, _, old in changed)
+    return [f"{what}; back: docdepth run {folder.path} {back}"]
+
+
+def _shown(value: Any) -> str:
+    """As ``--set`` takes it."""
+    return ",".join(map(str, value)) or "none" if isinstance(value, list) else str(value)
 
 
 def show(result: Any, as_json: bool) -> None:

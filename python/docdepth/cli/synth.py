@@ -9,8 +9,9 @@ from typing import Annotated
 import typer
 
 from docdepth.cli.options import PresetName, Threads, one_of, option, verb
+from docdepth.cli.progress import progress_bars
 from docdepth.cli.status import show_summary
-from docdepth.cli.terminal import progress_bars, say, volume
+from docdepth.cli.terminal import say, volume
 from docdepth.concurrency import Progress
 from docdepth.config import parameters
 from docdepth.errors import DatasetError

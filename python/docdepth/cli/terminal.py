@@ -1,4 +1,4 @@
-"""What is printed, and where: consoles, warnings, progress, and how much of it is wanted."""
+"""What is printed, and where: consoles, warnings, and how much of it is wanted."""
 
 from __future__ import annotations
 
@@ -10,24 +10,18 @@ import logging
 import re
 import shlex
 import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as Bars
 from typer.core import TyperGroup
 
-from docdepth.concurrency import Progress, null_progress
 from docdepth.errors import NOTE
 
 _ORDER = (
-    *("demo", "inspect", "check", "run", "status", "report", "view", "map", "video"),
-    *("evaluate", "tune", "convert", "calibrate", "odometry", "classify", "render"),
+    *("demo", "inspect", "run", "status", "view", "map", "video"),
+    *("evaluate", "tune", "convert", "calibrate", "render"),
 )
 
 
@@ -134,65 +128,6 @@ def _printable(error: UnicodeError) -> tuple[str, int]:
     unprintable = error.object[error.start : error.end]
     escaped = unprintable.encode("ascii", "backslashreplace").decode()
     return re.sub(r"\\udc([89a-f][0-9a-f])", r"\\x\1", escaped), error.end
-
-
-@contextmanager
-def progress_bars() -> Iterator[Progress]:
-    """One progress bar per stage, with the time left; lines where output is no terminal."""
-    if volume.quiet:
-        yield null_progress
-        return
-    if not err.is_terminal:
-        yield progress_lines()
-        return
-    columns = (
-        TextColumn("{task.description:<12}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(elapsed_when_finished=True),
-    )
-    with Bars(*columns, console=err) as bars:
-        tasks: dict[str, TaskID] = {}
-
-        def tell(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=total)
-            bars.update(tasks[stage], completed=done, total=total)
-
-        yield tell
-
-
-_PAUSE = 30.0  # a log file gets a line after so many seconds, or when a tenth more is done
-
-
-def progress_lines(clock: Callable[[], float] = time.monotonic) -> Progress:
-    """For log files: a line with the time taken, and an estimate of what is left."""
-    began: dict[str, tuple[float, int]] = {}  # time and frames done at the first call
-    told: dict[str, tuple[int, float]] = {}  # tenths and time of the last line
-
-    def tell(stage: str, done: int, total: int) -> None:
-        now, tenths = clock(), 10 * done // max(total, 1)
-        start, before = began.setdefault(stage, (now, done))
-        last_tenths, last = told.get(stage, (-1, now))
-        if tenths == last_tenths and now - last < _PAUSE:
-            return
-        told[stage] = (tenths, now)
-        line = f"{stage} {done}/{total}"
-        if now - start >= 1:
-            line += f", {_duration(now - start)}"
-            if before < done < total:
-                left = (now - start) / (done - before) * (total - done)
-                line += f", about {_duration(left)} left"
-        say(line, to=err)
-
-    return tell
-
-
-def _duration(seconds: float) -> str:
-    """Seconds as ``0:07``, ``12:30`` or ``1:02:03``."""
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
 
 
 _VERBS = {

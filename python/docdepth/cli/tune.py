@@ -12,7 +12,8 @@ import yaml
 from docdepth import tuning
 from docdepth._text import read_yaml
 from docdepth.cli.options import OneCamera, Threads, option, verb
-from docdepth.cli.terminal import progress_bars, say
+from docdepth.cli.progress import progress_bars
+from docdepth.cli.terminal import say
 from docdepth.errors import ConfigError, MissingExtraError
 
 

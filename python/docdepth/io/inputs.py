@@ -76,13 +76,11 @@ class RunInputs(Checked):
     recording: _Path = Field(description="A recording: its folder, or its file.")
     dataset: str | None = _field("Format of the recording; guessed if absent.")
     camera: tuple[str, ...] | None = _field(
-        "Cameras to draw, as the recording names them (image_02), all, or none for poses and "
-        "labels alone; the left colour camera if absent.",
-        "NAME[,NAME...]",
+        "Cameras to draw, by the recording's names (image_02), all, or none; the left colour "
+        "camera if absent. With none, a run ends with poses and labels.",
+        "NAME,...",
     )
-    frames: str | None = _field(
-        "Take sweeps A to B-1 of the recording only, counted from 0; all if absent.", "A:B"
-    )
+    frames: str | None = _field("Take sweeps A to B-1 only, counted from 0; all if absent.", "A:B")
     poses: str | None = _field(
         "Poses of the LiDAR from your own SLAM, one per sweep: TUM, KITTI, PLY or NPY. "
         "CAMERA:FILE for those of a camera, dataset for the recording's own; estimated if absent.",

@@ -85,16 +85,23 @@ def report_inputs(inputs: RunInputs, parameters: Parameters, output: Path | None
         report = check_opened(inputs, recording, opened.cameras, parameters, output)
         if not inputs.poses or any(f.severity == "error" for f in report.findings):
             return report
-        poses = read_given_poses(inputs.poses, recording)
-        misfit = find_misfit(
-            lambda k: recording.sweep(k).points, poses, recording.times, parameters.odometry
-        )
+        misfit = misfit_of_poses(inputs.poses, recording, parameters)
         return Report([*report.findings, *misfit], report.summary)
     found += _check_files_of_options(inputs)
     found += _check_parameters(parameters)
     if output is not None:
         found += _check_output(output, [], inputs.recording)
     return Report(in_order(found), "")
+
+
+def misfit_of_poses(poses: str, recording: Dataset, parameters: Parameters) -> list[Finding]:
+    """Whether sweeps fit each other by given poses."""
+    return find_misfit(
+        lambda k: recording.sweep(k).points,
+        read_given_poses(poses, recording),
+        recording.times,
+        parameters.odometry,
+    )
 
 
 def check_opened(

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from docdepth.config import Parameters
+from docdepth.config import Parameters, Settings, replaced
 from docdepth.datasets.base import Dataset
 from docdepth.errors import (
     DamagedFileError,
@@ -28,7 +28,7 @@ from docdepth.pipeline.cameras import (
     add_cameras,
     run_cameras,
 )
-from docdepth.pipeline.check import check_inputs, check_opened
+from docdepth.pipeline.check import check_inputs, check_opened, misfit_of_poses
 from docdepth.pipeline.classify import run_classify
 from docdepth.pipeline.execution import (
     Execution,
@@ -151,7 +151,10 @@ def _as_begun(inputs: RunInputs, begun: RunInputs | None) -> RunInputs:
 
 
 def continue_run(
-    output: Path | str, execution: Execution | None = None, **options: Any
+    output: Path | str,
+    changes: Settings | None = None,
+    execution: Execution | None = None,
+    **options: Any,
 ) -> RunFolder:
     """Make what is missing, damaged or out of date in a run, with the inputs that run.yaml names.
 
@@ -159,6 +162,8 @@ def continue_run(
     ----------
     output : Path
         Run folder.
+    changes : dict, optional
+        Parameters by dotted name that the run has from now on; its own if absent.
     execution : Execution, optional
         As for :func:`run`.
     **options
@@ -173,6 +178,7 @@ def continue_run(
     if folder.manifest.inputs is None:
         raise RunError(f"{output} was not made of a recording; there is nothing to continue")
     check_place(folder)
+    folder.manifest.parameters = replaced(folder.parameters, changes or {})
     choose_kept(folder, execution.keep)
     with _all_problems(folder.inputs, folder.parameters, folder.path):
         opened = open_as_begun(folder.inputs, folder.manifest.derived)
@@ -217,7 +223,10 @@ def _make(folder: RunFolder, recording: Dataset, execution: Execution) -> None:
     are_fitted = not cameras_to_fit(folder, recording)
     poses, cameras = known_poses(folder.inputs, recording), run_cameras(folder, recording)
     if execution.dry_run:
-        return _check(folder, recording, cameras, workers.jobs)
+        _check(folder, recording, cameras, workers.jobs)
+        if folder.inputs.poses:
+            log_findings(log, misfit_of_poses(folder.inputs.poses, recording, folder.parameters))
+        return
     stages = plan(folder, recording, poses, cameras)
     is_done = all([stage.state().state == "done" for stage in stages])
     if is_done and are_fitted and index_is_whole(folder):
