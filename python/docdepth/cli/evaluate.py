@@ -1,4 +1,4 @@
-"""Verbs that measure the accuracy of a run: labels, tracks, poses, depth, left out returns."""
+"""Verbs that measure a run: labels, tracks, poses, depth, normals, left out returns."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from docdepth.evaluation.camera_error import camera_error
 from docdepth.evaluation.error_page import DepthPage, ErrorPage, HeldOutPage, LabelPage
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.evaluation.left_out import LeftOut
+from docdepth.evaluation.normals import evaluate_normals
 from docdepth.evaluation.runs import evaluate_depth, evaluate_labels, evaluate_tracks
 from docdepth.evaluation.trajectories import evaluate_trajectories
 from docdepth.io.run_folder import RunFolder
@@ -38,6 +39,15 @@ LabelFolder = Annotated[
         "Folder of true labels in SemanticKITTI's format (NAME.label), or its parent.",
         "DIR",
         "--labels",
+    ),
+]
+TrueDepth = Annotated[
+    Path,
+    option(
+        "Folder of true depth maps of the same names, in any format that docdepth writes, or its "
+        "parent. Images without one are not compared.",
+        "DIR",
+        "--depth",
     ),
 ]
 Page = Annotated[
@@ -120,15 +130,7 @@ def trajectories(
 @verb(evaluate)
 def depth(
     run: RunPath,
-    truth: Annotated[
-        Path,
-        option(
-            "Folder of true depth maps of the same names, in any format that docdepth writes, or "
-            "its parent. Images without one are not compared.",
-            "DIR",
-            "--depth",
-        ),
-    ],
+    truth: TrueDepth,
     mode: Annotated[
         str,
         option(
@@ -169,6 +171,20 @@ def depth(
     if not as_json:
         say("", str(result.kitti_table()))
     _write(page, html, [result.table(), result.kitti_table()])
+
+
+@verb(evaluate)
+def normals(
+    run: RunPath, truth: TrueDepth, camera: OneCamera = None, as_json: Json = False
+) -> None:
+    """Compare the layer normal with the surfaces of exact depth maps.
+
+    Median angle, and shares of pixels within 11.25, 22.5 and 30 degrees, by class. Normals that the
+    run has not stored are drawn.
+    """
+    with progress_bars() as progress:
+        result = evaluate_normals(run, truth, camera, progress)
+    show(result, as_json)
 
 
 @verb(evaluate)

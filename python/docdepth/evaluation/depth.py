@@ -129,7 +129,8 @@ class DepthResult(Figures):
         title = (
             f"depth: {self.protocol}; poses: {self.poses}; {self.images} images, "
             f"density {number(self.density, 1)} % ({number(self.density_on_surfaces, 1)} % "
-            "of the pixels with a true depth)"
+            f"of the pixels with a true depth); abs rel {number(self.kitti.abs_rel, 2)} %, "
+            f"RMSE {number(self.kitti.rmse, 3)} m, delta1 {number(self.kitti.delta1, 2)} %"
         )
         header = ("region", "pixels", "density %", "MAE m", "RMSE m", "edge displacement px")
         cells = ((name, *errors.cells()) for name, errors in rows.items() if errors is not None)

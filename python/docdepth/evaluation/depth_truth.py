@@ -48,7 +48,11 @@ class TrueDepth(NamedTuple):
     dynamic : ndarray of bool, shape (h, w), optional
         Pixels of moving objects, where the truth tells.
     regions : dict of str to ndarray of bool (h, w)
-        Pixels below the horizon, of a confidence if the run has that layer, of a true class.
+        Pixels below the horizon, and of a confidence if the run has that layer.
+    classes : dict of str to ndarray of bool (h, w)
+        Pixels of each true class, where the truth tells.
+    is_exact : bool
+        Whether the true depth is not in steps, as that of a PNG is.
     """
 
     made: NDArray[np.float32]
@@ -57,6 +61,8 @@ class TrueDepth(NamedTuple):
     part: Part
     dynamic: Mask | None
     regions: dict[str, Mask]
+    classes: dict[str, Mask]
+    is_exact: bool
 
 
 class DepthTruth:
@@ -136,14 +142,15 @@ class DepthTruth:
                     f"{made.shape[0]} pixels; is it of this drive and camera?"
                 )
         regions = {"below the horizon": self._below[part], **self._by_confidence(name, part)}
+        is_exact = self._truths[name].suffix != ".png"
         file = self._classes / f"{name}.npy"
         if self._classes == self.folder or not file.is_file():
-            return TrueDepth(made[part], true, K, part, None, regions)
+            return TrueDepth(made[part], true, K, part, None, regions, {}, is_exact)
         labels = array_of(file).astype(np.uint32)
-        classes = classes_of(labels.ravel()).reshape(labels.shape)
-        regions |= {class_name(number): classes == number for number in np.unique(classes).tolist()}
-        dynamic = np.isin(classes, MOVING_LABELS)
-        return TrueDepth(made[part], true, K, part, dynamic, regions)
+        numbers = classes_of(labels.ravel()).reshape(labels.shape)
+        classes = {class_name(one): numbers == one for one in np.unique(numbers).tolist()}
+        dynamic = np.isin(numbers, MOVING_LABELS)
+        return TrueDepth(made[part], true, K, part, dynamic, regions, classes, is_exact)
 
     def _by_confidence(self, name: str, part: Part) -> dict[str, Mask]:
         """Pixels between two confidences, if the run has that layer of the image."""

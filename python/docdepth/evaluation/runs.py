@@ -68,7 +68,7 @@ def evaluate_labels(
     """
     folder = RunFolder.open(run)
     require(folder, "classify")
-    labels = _truth_folder(labels, "labels", folder)
+    labels = truth_folder(labels, "labels", folder)
     evaluation = LabelEvaluation(poses=_poses(folder))
     times = folder.trajectory().times
     for index in range(len(times)):
@@ -128,7 +128,7 @@ def evaluate_tracks(
     folder = RunFolder.open(run)
     require(folder, "classify")
     track_packages()  # tells what to install before all sweeps are read
-    labels = _truth_folder(labels, "labels", folder)
+    labels = truth_folder(labels, "labels", folder)
     if tracks is None:
         tracks = list(tracks_in(labels.parent).values())
     true_tracks = read_tracks(tracks) if isinstance(tracks, Path) else tracks
@@ -217,7 +217,7 @@ def evaluate_depth(
         The run has several cameras and none is named, or its depth maps are damaged or out of date.
     """
     folder = RunFolder.open(run)
-    depth = _truth_folder(depth, "depth_2", folder)
+    depth = truth_folder(depth, "depth_2", folder)
     camera = folder.depth_folder(camera)
     require(folder, f"render {folder.camera_in(camera)}")
     truth = DepthTruth(depth, folder, camera)
@@ -225,9 +225,9 @@ def evaluate_depth(
     evaluation = DepthEvaluation(mode=mode, max_range=max_range, poses=_poses(folder))
     ratios: list[float] = []
     for done, name in enumerate(truth.maps, 1):
-        made, true, K, part, dynamic, regions = truth.read(name)
+        made, true, K, part, dynamic, regions, classes, _ = truth.read(name)
         beside = None if others is None else _map_in(others, name, part)
-        evaluation.add(made, true, dynamic, K, regions, beside)
+        evaluation.add(made, true, dynamic, K, regions | classes, beside)
         if look:
             look(name, made, true)
         if (both := np.isfinite(made) & np.isfinite(true)).any():
@@ -261,7 +261,7 @@ def _map_in(maps: dict[str, Path], name: str, part: tuple[slice, slice]) -> NDAr
     return depth if depth.shape == depth[part].shape else depth[part]
 
 
-def _truth_folder(path: Path, inside: str, run: RunFolder) -> Path:
+def truth_folder(path: Path, inside: str, run: RunFolder) -> Path:
     """The folder itself, or the one in it that holds the truth."""
     if path.resolve().is_relative_to(run.path.resolve()):
         raise DatasetError(
