@@ -35,7 +35,7 @@ def test_every_link_of_a_released_readme_is_absolute_and_leads_to_a_file(page: M
     for link in inside:
         view, revision, file = link.removeprefix(f"{ADDRESS}/").partition("#")[0].split("/", 2)
         assert revision == "v1"
-        assert view == ("raw" if file.endswith(".jpg") else "blob")
+        assert view == ("raw" if file.endswith((".jpg", ".webp")) else "blob")
         assert (ROOT / file).exists()
     assert all(link.startswith("https://") for link in links)
 
