@@ -26,8 +26,8 @@ constexpr float kMinQueueTransientShare = 0.9f;
 /// and this share was free before or after: 0.18 and more, where of pieces of fences that seem
 /// transient as a whole it is at most 0.08.
 constexpr float kMinQueueFreeShare = 0.13f;
-/// A vehicle that goes so many times its length is no fence or hedge, whatever hides its places:
-/// lorries that follow each other do.
+/// What is as wide as a vehicle, goes so many times its length, and once its length while
+/// transient, is no fence or hedge, whatever hides its places: lorries that follow each other do.
 constexpr float kFarLengths = 3;
 /// An object that is never seen to move stands where for so long [s] this share of it was free, in
 /// the mean.
@@ -133,19 +133,20 @@ bool is_vehicle(const TrackPath& path) {
 }
 
 bool drives_far(const TrackPath& path) {
-  return is_vehicle(path) && path.transient_distance() >= kFarLengths * path.extent().size().x();
+  const Eigen::Vector3f size = path.extent().size();
+  return is_vehicle(path) && size.y() >= kMinRigidWidth &&
+         path.distance() >= kFarLengths * size.x() && path.transient_distance() >= size.x();
 }
 
 bool moves(const ObjectTrack& object, const std::vector<double>& times,
            const TrackingOptions& options) {
   const auto& [track, path] = object;
-  if (track.transient_count < options.min_detections || sways(path) ||
-      (is_porous(track) && !drives_far(path)))
-    return false;
-  if (path.distance() >= options.min_distance &&
-      path.transient_distance() >= kMinVotedDistanceShare * options.min_distance &&
-      is_transient_while_moving(object, times))
-    return true;
+  if (track.transient_count < options.min_detections || sways(path)) return false;
+  const bool goes = path.distance() >= options.min_distance &&
+                    path.transient_distance() >= kMinVotedDistanceShare * options.min_distance;
+  if (goes && drives_far(path)) return true;
+  if (is_porous(track)) return false;
+  if (goes && is_transient_while_moving(object, times)) return true;
   return is_vehicle(path) && appears(track.observations, times, options.min_detections);
 }
 

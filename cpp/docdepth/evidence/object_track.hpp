@@ -18,8 +18,8 @@ struct ObjectTrack {
 /// of walls that show behind something are flat.
 bool is_vehicle(const TrackPath& path);
 
-/// Whether it is a vehicle that goes several times its length while it is transient. A fence has no
-/// width, and what seems to move of a hedge stays where the hedge is.
+/// Whether it is as wide as a vehicle and goes several times its length, once its length while it
+/// is transient. A fence has no width, and what seems to move of a hedge stays where the hedge is.
 bool drives_far(const TrackPath& path);
 
 /// Whether it is the side of a lorry or a bus, which is all that is seen of it: long, thin, higher
