@@ -8,6 +8,8 @@ import pytest
 
 from docdepth.errors import DatasetError, InputError, RunError
 from docdepth.io.depth import (
+    FORMATS,
+    as_stored,
     check_format,
     described_maps,
     encode_depth,
@@ -154,3 +156,15 @@ def test_a_damaged_description_is_named(tmp_path: Path, text: str) -> None:
     (tmp_path / "depth.json").write_text(text)
     with pytest.raises(RunError, match=r"depth\.json is damaged"):
         described_maps(tmp_path)
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_as_stored_is_what_is_read_again(tmp_path: Path, format: str) -> None:
+    if format.startswith("exr"):
+        pytest.importorskip("OpenEXR")
+    rng = np.random.default_rng(4)
+    depth = rng.uniform(0.001, 200, (40, 50)).astype(np.float32)
+    depth[3] = np.nan
+    file = tmp_path / f"a{FORMATS[format]}"
+    file.write_bytes(encode_depth(depth, format, 300.0))
+    np.testing.assert_array_equal(as_stored(depth, format, 300.0), read_depth(file, 300.0))

@@ -143,6 +143,21 @@ def test_layers_beside_depth(finished, tmp_path):
         none = np.isnan(read_depth(png))
         np.testing.assert_array_equal(layers["class"] == 255, none)
         np.testing.assert_array_equal(np.isnan(layers["time"]), none)
+    # One more layer is drawn of the depth that is there, as if all had been asked for at once.
+    kept = {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in (run / "depth").glob("*.png")}
+    assert cli("run", run, "--layers", "class,time,support,std").exit_code == 0
+    assert {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in kept} == kept
+    for name in names:
+        more = np.load(run / "layers" / f"{name}.npz")
+        assert list(more) == ["class", "time", "support", "std"]
+        shutil.copy(run / "layers" / f"{name}.npz", tmp_path)
+    assert "std" in json.loads((run / "depth" / "depth.json").read_text())["layers"]
+    for folder in ("depth", "layers"):
+        shutil.rmtree(run / folder)
+    assert cli("run", run).exit_code == 0
+    for name in names:
+        one, other = (np.load(place / f"{name}.npz") for place in (tmp_path, run / "layers"))
+        assert all(np.array_equal(one[k], other[k], equal_nan=k != "class") for k in one)
     # A map whose layers are missing is not whole.
     (run / "layers" / f"{names[0]}.npz").unlink()
     assert cli("render", run).exit_code == 0

@@ -261,10 +261,30 @@ def _encode_png(depth: NDArray[np.float32], scale: float) -> bytes:
             f"PNG of metres x {scale:g} can hold, the first is {depth[row, column]:.2f} m in row "
             f"{row}, column {column}; take another format, a smaller scale or render.max_depth"
         )
+    return encode_png(_steps(depth, scale))
+
+
+def _steps(depth: NDArray[np.float32], scale: float) -> NDArray[np.uint16]:
     # A depth that rounds to 0 would mean none; one step is the nearest that the format has.
     steps = np.maximum(np.rint(depth * scale), 1)
-    pixels = np.where(np.isnan(depth), 0, steps).astype(np.uint16)
-    return encode_png(pixels)
+    return np.where(np.isnan(depth), 0, steps).astype(np.uint16)
+
+
+def as_stored(depth: NDArray[np.float32], format: str, scale: float) -> NDArray[np.float32]:
+    """A depth map as it is read again when it was written in a format.
+
+    Parameters
+    ----------
+    depth : ndarray of float32, shape (h, w)
+        Metres, NaN = none.
+    format : str
+        One of :data:`FORMATS`.
+    scale : float
+        Steps of a PNG a metre.
+    """
+    if format == "png":
+        return _metres(_steps(depth, scale), scale)
+    return depth.astype(np.float16).astype(np.float32) if format == "exr-half" else depth
 
 
 def _decoded(path: Path) -> NDArray[Any]:
@@ -282,8 +302,12 @@ def _read_png(path: Path, scale: float) -> NDArray[np.float32]:
             f"{path} holds {pixels.dtype} {pixels.shape}; depth is one channel of uint16, "
             "metres times a scale"
         )
-    depth = pixels.astype(np.float32) / np.float32(scale)
-    depth[pixels == 0] = np.nan
+    return _metres(pixels, scale)
+
+
+def _metres(steps: NDArray[Any], scale: float) -> NDArray[np.float32]:
+    depth = steps.astype(np.float32) / np.float32(scale)
+    depth[steps == 0] = np.nan
     return np.asarray(depth, np.float32)
 
 

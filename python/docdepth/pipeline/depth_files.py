@@ -23,7 +23,7 @@ from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import npz_bytes
 from docdepth.io.calibration import EXTRINSICS, INTRINSICS, write_calibration
-from docdepth.io.depth import DESCRIPTION, FORMATS, encode_depth, read_depth
+from docdepth.io.depth import DESCRIPTION, FORMATS, as_stored, encode_depth, read_depth
 from docdepth.io.frames import write_trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import KITTI_TRACKS, write_kitti_tracking
@@ -74,6 +74,23 @@ class DepthFiles:
             coverage={},
         )
 
+    @property
+    def layers_key(self) -> dict[str, str]:
+        """What the records of layers and of the description name beside."""
+        return {"layers": ",".join(self.parameters.output.layers)}
+
+    def left(self, index: int) -> list[str]:
+        """Those of :meth:`files` that are not up to date."""
+        return [
+            what
+            for what, path in self.files(index).items()
+            if self.run.key(path) != self._key(index, what)
+        ]
+
+    def _key(self, index: int, what: str) -> dict[str, str]:
+        key = {"render": self.key, "image": self.images[index]}
+        return key | self.layers_key if what == "layers" else key
+
     def shares(self) -> list[float]:
         """The coverage of the images that are done, in order."""
         return [share for _, share in sorted(self.coverage.items())]
@@ -113,9 +130,16 @@ class DepthFiles:
         return True
 
     def depth(self, index: int) -> NDArray[np.float32]:
-        """Read the depth map of an image."""
-        output = self.parameters.output
-        return read_depth(self.files(index)[output.format[0]], output.scale)
+        """Read the depth map of an image, of several formats the most exact."""
+        return read_depth(self.files(index)[self._exact], self.parameters.output.scale)
+
+    def as_stored(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
+        """A depth map as :meth:`depth` reads it."""
+        return as_stored(depth, self._exact, self.parameters.output.scale)
+
+    @property
+    def _exact(self) -> str:
+        return max(self.parameters.output.format, key=list(FORMATS).index)
 
     def write_camera(self, trajectory: Trajectory, tracks: Iterable[Track]) -> None:
         """Write the calibration, the LiDAR's poses at the times of the images (paper V-A), and
@@ -144,10 +168,8 @@ class DepthFiles:
         float
             Share of pixels with depth.
         """
-        key = {"render": self.key, "image": self.images[index]}
-        for what, path in self.files(index).items():
-            if self.run.key(path) == key:
-                continue
+        for what in self.left(index):
+            path, key = self.files(index)[what], self._key(index, what)
             if what == "report":
                 with suggest_skipping():
                     image = self.stream.rectified_image(index)
@@ -191,7 +213,7 @@ class DepthFiles:
         }
         content = json.dumps(description, indent=1).encode()
         path = self.run.path / "depth" / self.folder / DESCRIPTION
-        key = {"render": self.key} if complete else {"incomplete": self.key}
+        key = {"render": self.key, **self.layers_key} if complete else {"incomplete": self.key}
         self.run.write(path, lambda out: out.write(content), key)
 
 

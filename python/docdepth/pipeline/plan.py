@@ -26,7 +26,7 @@ _Known = dict[str, list[int | str]]
 _NOTES = "inputs.json"
 """By name size and time of each file, and perhaps its hash and the time of its state."""
 
-_VERSIONS = {"odometry": 12, "classify": 30, "render": 15}
+_VERSIONS = {"odometry": 12, "classify": 30, "render": 16}
 """Counted up when a new version of docdepth makes other results of the same inputs."""
 
 
@@ -262,7 +262,7 @@ def render_stage(
     inputs = {
         **own,
         "render": p.render.model_dump(mode="json"),
-        "output": p.output.model_dump(mode="json"),
+        "output": p.output.model_dump(mode="json", exclude={"layers"}),
         "times": stage_key(stream.times.tolist(), stream.names),
         "camera": {
             **stream.camera.as_dict(),
@@ -290,6 +290,7 @@ def render_stage(
         files.once(),
         files.folders(),
         previous=classify,
+        also=files.layers_key,
         reasons={"times": "the times of the images have changed"},
         save_inputs=input_files.save,
     )

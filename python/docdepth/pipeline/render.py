@@ -338,16 +338,21 @@ def _render_images(renderer: Renderer, context: ChunkContext, chunk: _RenderChun
             needed = needed[1:]
             for coming in images[done + len(needed) : done + 2]:
                 needed.append(needed_sweeps(trajectory, coming.time, p, tracks))
+            files, index = image.files, image.index
             requested = cache.request({one for some in needed for one in some.items()}, pool)
             with timer("wait for frames"):
                 sweeps = {i: requested[i, whole].result() for i, whole in needed[0].items()}
-            names, layers = image.files.parameters.output.layers, dict[str, NDArray[Any]]()
+            left, layers = files.left(index), dict[str, NDArray[Any]]()
             with timer("draw"):
                 drawn = render_list(views[done], trajectory, sweeps.__getitem__, p, tracks)
-                depth = compose_depth(drawn, context.threads, renderer)
-            if names:
+                if left == ["layers"]:
+                    depth = files.depth(index)
+                else:
+                    depth = compose_depth(drawn, context.threads, renderer)
+            if "layers" in left:
+                names, stored = files.parameters.output.layers, files.as_stored(depth)
                 with timer("layers"):
-                    layers = compose_layers(names, depth, drawn, context.threads)
+                    layers = compose_layers(names, stored, drawn, context.threads)
             if writing:
                 shares.append(writing.result())
             writing = pool.submit(_write, image, depth, layers, timer)

@@ -393,4 +393,5 @@ class ImageLayers(Mapping[str, NDArray[Any]]):
             raise DamagedFileError(file, str(error)) from None
         if name in stored:
             return stored[name]
-        return render_layers(images.scene, images.stream, [name], time=image.time)[name]
+        scene, depth = images.scene, image.depth
+        return render_layers(scene, images.stream, [name], time=image.time, depth=depth)[name]

@@ -100,6 +100,9 @@ class Stage:
         Where files of this stage that are out of date may lie.
     previous : Stage, optional
         The stage that it reads from.
+    also : dict of str to str
+        What the records of some files of the stage name beside, such as the layers of an image.
+        Files whose records do not name it do not depend on it.
     reasons : dict of str to str
         By input: the reason to give if it has changed; its values are told where there is none.
     save_inputs : callable
@@ -113,6 +116,7 @@ class Stage:
     once: Sequence[Path] = ()
     folders: Sequence[Path] = ()
     previous: Stage | None = None
+    also: Mapping[str, str] = field(default_factory=dict)
     reasons: Mapping[str, str] = field(default_factory=dict)
     save_inputs: Callable[[], None] = lambda: None
 
@@ -133,12 +137,19 @@ class Stage:
     def is_made(self, frame: int) -> bool:
         """Whether all files of a frame are whole and up to date."""
         outputs = self.frames[frame]
-        made_of = {**self.made_of, **outputs.made_of}.items()
-        return all(made_of <= self.run.key(file).items() for file in outputs.files)
+        return all(self._agrees(self.run.key(file), outputs.made_of) for file in outputs.files)
+
+    def _agrees(self, key: Mapping[str, str], more: Mapping[str, str] | None = None) -> bool:
+        """Whether the record of a file names what the stage is made of now."""
+        made_of = {**self.made_of, **(more or {})}
+        return made_of.items() <= key.items() and self._is_wanted(key)
+
+    def _is_wanted(self, key: Mapping[str, str]) -> bool:
+        return all(key.get(name, value) == value for name, value in self.also.items())
 
     def is_made_once(self) -> bool:
         """Whether the files of the stage as a whole are whole and up to date."""
-        return all(self.run.key(file) == self.made_of for file in self.once)
+        return all(self._agrees(self.run.key(file)) for file in self.once)
 
     def is_done(self) -> bool:
         """Whether there is nothing to do."""
@@ -147,7 +158,7 @@ class Stage:
     def remove_outdated(self) -> None:
         """Delete files that were made of something else, and of frames that are no more."""
         for folder in self.folders:
-            remove_others(self.run, folder, self.made_of)
+            remove_others(self.run, folder, {**self.made_of, **self.also})
 
     def state(self, verify: bool = False) -> StageState:
         """Compare all files with their records.
@@ -160,6 +171,7 @@ class Stage:
         run, size, done, changed = self.run, 0, list[bool](), list[str]()
         damaged: list[str] = []
         missing: list[str] = []
+        unwanted = False
         for outputs in (*self.frames, FrameOutputs(self.once)):
             is_whole = same = True
             for file in outputs.files:
@@ -167,8 +179,9 @@ class Stage:
                 state, key = records.state(file.name, verify), records.recorded_key(file.name)
                 same &= outputs.made_of.items() <= key.items()
                 size += records.size(file.name)
-                if state != "whole" or not self.made_of.items() <= key.items():
+                if state != "whole" or not self._agrees(key):
                     is_whole = False
+                    unwanted |= not self._is_wanted(key)
                     name = file.relative_to(run.path).as_posix()
                     (damaged if state == "damaged" else missing).append(name)
             done.append(is_whole and same)
@@ -183,6 +196,8 @@ class Stage:
             found, whole = ("missing", "it was not made yet"), 0
         elif entry.key != self.key:
             found = "out of date", self._why_outdated()
+        elif unwanted:
+            found = "out of date", f"other {' and '.join(self.also)} are asked for"
         elif damaged:
             found = "damaged", f"{damaged[0]} differs from what was written"
         elif entry.state == "running":
