@@ -203,3 +203,10 @@ def test_a_run_without_a_place_is_named_after_its_recording(
         assert (named / "traj_odometry.ply").stat().st_mtime_ns == before
     nothing = cli("run")
     assert "no recording: docdepth run RECORDING" in str(nothing.exception)
+
+
+def test_control_characters_in_names_do_not_reach_the_terminal(docdepth, tmp_path: Path) -> None:
+    (tmp_path / "red\x1b[31m\x9b2J\r\u00e9").mkdir()
+    ended = docdepth("run", tmp_path / "red\x1b[31m\x9b2J\r\u00e9", "-o", tmp_path / "run")
+    assert ended.code == 2
+    assert "red\\x1b[31m\\x9b2J\\x0d\u00e9 is no recording" in ended.err

@@ -15,6 +15,7 @@ from typing import Any
 
 import typer
 from rich.console import Console
+from rich.text import Text
 from typer.core import TyperGroup
 
 from docdepth.errors import NOTE
@@ -45,7 +46,15 @@ app = typer.Typer(
 _SIGPIPE = 141  # what a shell reports of a program that wrote into a closed pipe
 
 
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+"""Characters that steer a terminal, which names of files and texts of recordings may hold."""
+
+
 class _Console(Console):
+    def render_str(self, text: str, **options: Any) -> Text:
+        r"""Any text that is printed: control characters are told as ``\x1b``."""
+        return super().render_str(_CONTROL.sub(lambda c: f"\\x{ord(c[0]):02x}", text), **options)
+
     def on_broken_pipe(self) -> None:
         """End without a word: whoever read the output has gone (``docdepth ... | head``)."""
         self.quiet = True
