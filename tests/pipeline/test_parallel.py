@@ -8,6 +8,7 @@ import os
 import pickle
 import re
 import shutil
+import socket
 import subprocess
 import sys
 import time
@@ -282,6 +283,17 @@ def test_workers_of_a_dask_cluster_make_what_one_makes(
     ) as cluster:
         run(drive, tmp_path / "run", camera="all", scheduler=cluster.scheduler_address)
     assert results(tmp_path / "run") == results(whole)
+
+
+def test_a_program_that_is_no_scheduler(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(parallel, "_ANSWERS_WITHIN", 0.2)
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        address = f"tcp://127.0.0.1:{other.getsockname()[1]}"
+        with pytest.raises(RunError, match=f"no Dask scheduler at {address}"):
+            run(drive, tmp_path / "run", camera="all", scheduler=address)
 
 
 def test_a_scheduler_that_is_not_there(drive: Path, tmp_path: Path) -> None:

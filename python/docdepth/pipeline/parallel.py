@@ -13,6 +13,7 @@ import logging
 import math
 import multiprocessing
 import os
+import re
 import signal
 import socket
 import threading
@@ -46,6 +47,9 @@ _PATH_PER_FRAME = 0.5
 _TASKS_PER_WORKER = 2
 """Tasks that each worker has in hand or next. A task holds all that its chunk needs, so those of a
 whole drive would fill the memory."""
+
+_ANSWERS_WITHIN = 10.0
+"""A scheduler begins to speak as soon as somebody calls [s]."""
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -320,6 +324,7 @@ def _connect(address: str) -> Any:
             f"`scheduler` needs Dask ({error})", "pip install 'docdepth[cluster]'"
         ) from None
     try:
+        _hear_from(address)
         client = Client(address, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise RunError(
@@ -328,3 +333,18 @@ def _connect(address: str) -> Any:
     if not client.nthreads():
         log.warning("the scheduler at %s has no worker yet; the work waits for one", address)
     return client
+
+
+def _hear_from(address: str) -> None:
+    """Refuse an address at which nobody speaks first: Dask would wait for ever.
+
+    Raises
+    ------
+    OSError
+    """
+    place = re.fullmatch(r"(?:tcp://)?\[?([^\]/]+?)\]?:(\d+)", address)
+    if place is None:  # of another protocol, or no address: Dask says which
+        return
+    with socket.create_connection((place[1], int(place[2])), _ANSWERS_WITHIN) as caller:
+        if not caller.recv(1):
+            raise OSError("what answers there is none")
