@@ -151,7 +151,7 @@ std::vector<std::uint8_t> OccupancyGrid::seen_by(const std::vector<GridCamera>& 
     for (int x = 0; x < size[0]; ++x)
       for (int y = 0; y < size[1]; ++y)
         for (int z = 0; z < size[2]; ++z, ++voxel) {
-          if (!voxels.observed[voxel] || seen[voxel]) continue;
+          if (!voxels.observed[voxel]) continue;
           const Eigen::Vector3d middle(x + 0.5, y + 0.5, z + 0.5);
           const Eigen::Vector3d at = T_camera_grid * (options_.corner + options_.voxel * middle);
           const Eigen::Vector3d pixel = camera.K * at;
@@ -160,7 +160,7 @@ std::vector<std::uint8_t> OccupancyGrid::seen_by(const std::vector<GridCamera>& 
                 pixel.y() < (camera.height - 0.5) * at.z()))
             continue;
           traverse(centre, middle, size, [&](std::size_t on_the_way) {
-            seen[voxel] = on_the_way == voxel;
+            seen[on_the_way] |= voxels.observed[on_the_way];
             return voxels.occupied[on_the_way] == Occupied::kNot;
           });
         }

@@ -65,7 +65,8 @@ class OccupancyGrid {
 
   OccupiedVoxels classify() const;
 
-  /// Which observed voxels a camera sees: no occupied voxel lies between them.
+  /// Which observed voxels a camera sees: on a line to the middle of one, those up to the first
+  /// that is occupied. So it sees the road, of which each voxel hides the middle of the next.
   std::vector<std::uint8_t> seen_by(const std::vector<GridCamera>& cameras,
                                     const OccupiedVoxels& voxels) const;
 

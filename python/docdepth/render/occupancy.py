@@ -52,7 +52,8 @@ class Occupancy(ShortRepr):
     mask_lidar : ndarray of bool, shape (200, 200, 16)
         Observed: free or occupied.
     mask_camera : ndarray of bool, shape (200, 200, 16)
-        Observed, and some camera sees it: nothing occupied lies between them.
+        Observed, and some camera sees it: on a line from the camera to the middle of a voxel, it
+        comes up to the first that is occupied.
     instance : ndarray of uint16, shape (200, 200, 16)
         The track of each voxel of a moving object; 0 elsewhere, and where it is of no track.
     flow : ndarray of float32, shape (200, 200, 16, 2)
