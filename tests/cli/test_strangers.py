@@ -161,7 +161,7 @@ def test_no_verb_loses_what_somebody_wrote_or_changed(docdepth, copies, tmp_path
             "--labels",
             labels,
         ),
-        "calibrate": ("--check", run, "-o", out / "calibrate"),
+        "calibrate": (run, "-o", out / "calibrate"),
         "convert": (run, out / "poses.txt", "--to", "tum"),
         "synth": (out / "synth", "--frames", "2", "--sensor", "VLP-16", "--force"),
         "render": (run, "--set", "render.behind=30"),

@@ -135,5 +135,5 @@ def test_the_verb_needs_half_seconds(finished) -> None:
     ended = cli("calibrate", "--time", finished[0])
     assert ended.exit_code == 2
     assert "are needed to compare clocks" in str(ended.exception)
-    ended = cli("calibrate", "--time", "--check", finished[0])
+    ended = cli("calibrate", "--time", finished[0], "--square", "0.1")
     assert "leave the others out" in str(ended.exception)

@@ -10,10 +10,12 @@ import pytest
 import docdepth
 from command_line import cli
 from docdepth.datasets import open_dataset
+from docdepth.diagnostics import calibration
 from docdepth.diagnostics.calibration import RunEdges
 from docdepth.diagnostics.depth_edges import edges_of_map
 from docdepth.diagnostics.edge_fit import EdgeFit
 from docdepth.errors import NOTE
+from docdepth.evaluation import camera_error
 from docdepth.geometry.se3 import rotation_exp
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
@@ -72,6 +74,27 @@ def test_or_as_it_was_given(drive, tmp_path: Path, asked, mode: str, gain: float
     np.testing.assert_array_equal(run.calibration()[1], given.T_camera_lidar)
     stored = run.cameras[name].fit
     assert (stored is not None and bool(stored.verdict)) == (mode == "report")
+
+
+def test_calibrate_writes_the_camera_that_images_ask_for(
+    drive, finished, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("_FEWEST_IMAGES", "_FEWEST_EDGES"):
+        monkeypatch.setattr(calibration, name, 3)
+    monkeypatch.setattr(camera_error, "LEAST_PATH", 0.0)
+    for gain, wanted in ((1.0, {".jpg"}), (4.0, {".jpg", ".json", ".txt"})):
+        monkeypatch.setattr(camera_error, "fit_camera", lambda _, gain=gain: asks(gain))
+        ended = cli("calibrate", finished[0], "-o", tmp_path / "fitted")
+        assert ended.exit_code == 0, ended.output
+        assert {file.suffix for file in (tmp_path / "fitted").iterdir()} == wanted
+    file = tmp_path / "fitted" / "calib.json"
+    assert f"docdepth run RECORDING --calibration {file}" in ended.output
+    again = cli("run", drive, "-o", tmp_path / "run", "--calibration", file, "--frames", "0:3")
+    assert again.exit_code == 0, again.output
+    given, T = RunFolder.open(finished[0]).calibration()[1], np.eye(4)
+    T[:3, :3] = rotation_exp(CHANGE[:3])
+    used = RunFolder.open(tmp_path / "run").calibration()[1]
+    np.testing.assert_allclose(used, T @ given, atol=1e-9)
 
 
 def test_the_maps_that_were_drawn_are_looked_at(drive, tmp_path: Path, monkeypatch) -> None:

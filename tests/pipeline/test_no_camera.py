@@ -50,7 +50,7 @@ def test_labels_are_those_of_a_run_with_a_camera(drive, tmp_path) -> None:
     assert before == after, "nothing is left to do"
     status = cli("status", made.path)
     assert "render" not in status.stdout
-    for command in (["video"], ["evaluate", "held-out"], ["calibrate", "--check"]):
+    for command in (["video"], ["evaluate", "held-out"], ["calibrate"]):
         ended = cli(*command, made.path)
         assert isinstance(ended.exception, RunError), command
         assert "its run has no camera; name one" in str(ended.exception)

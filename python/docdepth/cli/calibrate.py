@@ -15,11 +15,13 @@ from docdepth.cli.progress import progress_bars
 from docdepth.cli.terminal import out, say, show_json
 from docdepth.datasets import Dataset, ImageStream, image_streams, open_dataset
 from docdepth.errors import CalibrationError, ConfigError
-from docdepth.evaluation.camera_error import check_calibration
-from docdepth.evaluation.time_offset import TimeOffset, image_times, time_offset
+from docdepth.evaluation.camera_error import fit_calibration
+from docdepth.evaluation.time_offset import image_times, time_offset
 from docdepth.geometry.se3 import inverse
 from docdepth.io.atomic import write_output
+from docdepth.io.calibration import INTRINSICS, write_calibration
 from docdepth.io.inputs import RunInputs
+from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.depth_files import encode_image
 
 if TYPE_CHECKING:  # it needs an extra
@@ -37,17 +39,9 @@ _Board = Annotated[
 _Output = Annotated[
     Path | None,
     option(
-        "Folder for the result, created; with --check for a picture, with --time for the times.",
+        "Folder for the result, created.",
         "DIR",
         "-o --output",
-    ),
-]
-_Check = Annotated[
-    bool,
-    option(
-        "RECORDING is a run: tell whether depth edges lie on edges of its images, and by how "
-        "much the calibration is off.",
-        flags="--check",
     ),
 ]
 _Time = Annotated[
@@ -77,8 +71,8 @@ _Recording = Annotated[
     Path,
     typer.Argument(
         metavar="RECORDING",
-        help="Images and sweeps of a checkerboard in 10 poses or more: a folder with "
-        "docdepth.yaml, or a bag. With --check and --time a run.",
+        help="A run, to fit its cameras to its images; or images and sweeps of a checkerboard in "
+        "10 poses or more: a folder with docdepth.yaml, or a bag.",
     ),
 ]
 
@@ -92,7 +86,6 @@ def calibrate(
     square: Annotated[float | None, option("Side of a square, metres.", "M")] = None,
     board: _Board = None,
     output: _Output = None,
-    check: _Check = False,
     time: _Time = False,
     dataset: DatasetName = None,
     camera: Annotated[str | None, option("Camera; needed where there are several.", "NAME")] = None,
@@ -101,26 +94,25 @@ def calibrate(
     box: _Boxes = None,
     as_json: Json = False,
 ) -> None:
-    """Find K, the distortion and the place of a camera from a checkerboard.
+    """Find where a camera sits: by the images of a run, or by a checkerboard.
 
-    The board is found in the images and in the whole sweeps. docdepth run --calibration takes
-    calib.json; look at the pictures beside it first.
+    Of a run, each camera is turned and moved until depth edges lie on edges of its images. Of a
+    checkerboard, K and the distortion are found, too. docdepth run --calibration takes calib.json;
+    look at the pictures beside it first.
 
+      docdepth calibrate RUN -o fitted
+      docdepth calibrate RUN --time -o times
       docdepth calibrate boards/ --corners 5x7 --square 0.095 --board 0.61x0.85 -o calibration
-      docdepth calibrate --check RUN
-      docdepth calibrate --time RUN -o times
     """
-    if check or time:
-        of_boards = (corners, square, board, dataset, frames, lens, box)
-        if (check and time) or any(one is not None for one in of_boards):
-            raise ConfigError(
-                "--check and --time take a run, --camera, -o and --json; leave the others out"
-            )
-        return _check_run(recording, camera, output, as_json, clocks=time)
+    of_boards = (corners, square, board, dataset, frames, lens, box)
+    if time or (recording / "run.yaml").is_file():
+        if any(one is not None for one in of_boards):
+            raise ConfigError("a run takes --camera, --time, -o and --json; leave the others out")
+        if time:
+            return _compare_clocks(recording, camera, output, as_json)
+        return _fit_cameras(recording, camera, output, as_json)
     if corners is None or square is None or board is None or output is None:
-        raise ConfigError(
-            "a checkerboard needs --corners, --square, --board and -o; to check a run say --check"
-        )
+        raise ConfigError("a checkerboard needs --corners, --square, --board and -o")
     from docdepth.calibration.board import parse_board
     from docdepth.calibration.calibrate import calibrate as calibrate_pairs
     from docdepth.calibration.lens import Lens
@@ -147,24 +139,52 @@ def calibrate(
     return _show(found, quality, known is None, output)
 
 
-def _check_run(
-    run: Path, camera: str | None, output: Path | None, as_json: bool, clocks: bool
-) -> None:
-    """Print what images say of the calibration of a run, or of its clocks; write the remedy."""
+def _compare_clocks(run: Path, camera: str | None, output: Path | None, as_json: bool) -> None:
+    """Print by how much clocks of a run differ; write the times that the images should have."""
     with progress_bars() as progress:
-        found = (time_offset if clocks else check_calibration)(run, camera, progress)
+        found = time_offset(run, camera, progress)
     lines = list(found.lines)
     if output is not None:
-        if isinstance(found, TimeOffset):
-            name, content = "camera_times.txt", found.corrected(image_times(run, camera)).encode()
-            use = f"with them: docdepth run RECORDING --camera-times {output / name} -o RUN"
-        else:
-            name, content = f"{found.worst}.jpg", encode_image(found.picture, ".jpg")
-            use = f"{output / name}: depth edges as they are red, where they fit green"
-        output.mkdir(parents=True, exist_ok=True)
-        write_output(output / name, lambda stream: stream.write(content))
-        lines.append(use)
+        times = found.corrected(image_times(run, camera)).encode()
+        _write(output / "camera_times.txt", times)
+        name = output / "camera_times.txt"
+        lines.append(f"with them: docdepth run RECORDING --camera-times {name} -o RUN")
     return show_json(found.figures) if as_json else say(*lines)
+
+
+def _fit_cameras(run: Path, camera: str | None, output: Path | None, as_json: bool) -> None:
+    """Print what images say of the cameras of a run; write pictures, and cameras that fit."""
+    folder = RunFolder.open(run)
+    names = [name for name, entry in folder.cameras.items() if entry.virtual is None]
+    figures: dict[str, object] = {}
+    for name in names if camera is None and names else [camera]:
+        with progress_bars() as progress:
+            found = fit_calibration(run, name, progress)
+        stream = found.stream
+        figures[stream.name] = found.figures
+        lines = [f"{stream.name}:"] * (len(names) > 1) + found.lines
+        if output is not None:
+            place = output / stream.name if len(names) > 1 else output
+            picture = place / f"{found.check.worst}.jpg"
+            _write(picture, encode_image(found.check.picture, ".jpg"))
+            lines.append(f"{picture}: depth edges as they are red, where they fit green")
+            if found.is_changed:
+                more: dict[str, object] = {"camera": stream.name, "fit": found.figures["fit"]}
+                write_calibration(
+                    place, stream.camera, stream.T_camera_lidar, stream.distortion_coefficients,
+                    stream.model, write_output, more,
+                )  # fmt: skip
+                file = place / INTRINSICS
+                lines.append(f"with it: docdepth run RECORDING --calibration {file} -o RUN")
+        if not as_json:
+            say(*lines)
+    if as_json:
+        show_json(figures)
+
+
+def _write(path: Path, content: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_output(path, lambda stream: stream.write(content))
 
 
 def _stream(recording: Dataset, name: str | None) -> ImageStream:

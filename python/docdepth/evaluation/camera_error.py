@@ -32,6 +32,14 @@ from docdepth.geometry.se3 import rotation_exp
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
+from docdepth.pipeline.camera_fit import (
+    FITTED_IMAGES,
+    LEAST_PATH,
+    CameraFit,
+    fit_camera,
+    stored_fit,
+)
+from docdepth.pipeline.cameras import fitted
 from docdepth.pipeline.plan import require
 from docdepth.pipeline.run_inputs import recorded_camera
 
@@ -111,12 +119,56 @@ def camera_error(
     return CameraError(check.verdict, mae, wrong)
 
 
-def check_calibration(
+@dataclass(frozen=True)
+class FittedCamera:
+    """What the images of a run say of a camera, and the camera by them.
+
+    Attributes
+    ----------
+    check : CalibrationCheck
+    fit : CameraFit, optional
+        With fits without each quarter of the drive; None where images are too few.
+    stream : CameraStream
+        The camera as the images want it; as the run has it where that is not sure.
+    """
+
+    check: CalibrationCheck
+    fit: CameraFit | None
+    stream: CameraStream
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether the images surely want another camera."""
+        return self.fit is not None and self.fit.is_sure
+
+    @property
+    def lines(self) -> list[str]:
+        """What was found, in words."""
+        if self.fit is None:
+            said = f"a fit needs ten images or more along {LEAST_PATH:g} m; here are fewer"
+        else:
+            moved = f"edges move by {self.fit.moved_deg:.2f} +- {self.fit.error_deg:.2f} degrees"
+            sure = f"{moved} when {self.fit.change}; each quarter of the drive confirms the others"
+            said = sure if self.is_changed else f"{moved} by a fit: nothing to change that is sure"
+        return [*self.check.lines, said]
+
+    @property
+    def figures(self) -> dict[str, object]:
+        """The result as plain values."""
+        fit = None if self.fit is None else {
+            "is_sure": self.fit.is_sure,
+            "moved_deg": self.fit.moved_deg,
+            "error_deg": self.fit.error_deg,
+        }  # fmt: skip
+        return self.check.figures | {"fit": fit}
+
+
+def fit_calibration(
     run: Path | str | RunFolder,
     camera: str | None = None,
     progress: Progress | None = None,
-) -> CalibrationCheck:
-    """Compare depth edges of a run with the edges of its images.
+) -> FittedCamera:
+    """Compare depth edges of a run with the edges of its images, and fit the camera to them.
 
     Edges in boxes of moving objects do not count.
 
@@ -138,15 +190,23 @@ def check_calibration(
     CalibrationError
         The run draws splats, there are too few edges to tell, or they fit by chance only.
     """
-    return compare(edges_of_run(run, camera, progress))
+    found = edges_of_run(run, camera, progress, FITTED_IMAGES)
+    check, stream = compare(found), found.stream
+    trajectory = RunFolder.open(run).trajectory()
+    times = stream.times[np.isin(stream.names, found.names)]
+    fit = fit_camera(found) if np.ptp(trajectory.arc_length_at(times)) >= LEAST_PATH else None
+    if fit is not None and fit.is_sure:
+        stream = fitted(stream, stored_fit(fit, applied=True))
+    return FittedCamera(check, fit, stream)
 
 
 def edges_of_run(
     run: Path | str | RunFolder,
     camera: str | None = None,
     progress: Progress | None = None,
+    most: int = IMAGES,
 ) -> RunEdges:
-    """Read what :func:`check_calibration` compares; its parameters and errors."""
+    """Read what :func:`fit_calibration` compares; its parameters and errors."""
     folder = RunFolder.open(run)
     if folder.parameters.render.primitive == "splats":
         raise CalibrationError(
@@ -157,7 +217,7 @@ def edges_of_run(
     indices = [k for k, image in enumerate(stream.names) if image in maps]
     return edges_of_images(
         folder.path, stream, indices, lambda k: read_depth(maps[stream.names[k]]),
-        folder.trajectory(), tracks_in(folder.path), progress,
+        folder.trajectory(), tracks_in(folder.path), progress, most,
     )  # fmt: skip
 
 

@@ -23,7 +23,8 @@ from docdepth.pipeline.render import report
 log = logging.getLogger(__name__)
 
 _VERSION = 4  # counted up when the same images ask for another change
-_IMAGES = 40
+FITTED_IMAGES = 40
+"""Images to which a camera is fitted, evenly along the path."""
 
 
 def cameras_to_fit(run: RunFolder, recording: Dataset) -> list[CameraStream]:
@@ -59,7 +60,7 @@ def fit_cameras(run: RunFolder, recording: Dataset, progress: Progress | None = 
         if found is not None and found.is_sure:
             finding = _finding(stream.name, found, apply)
             verdicts.append(finding)
-            stored = _stored(found, stored.made_of, finding.text, apply)
+            stored = stored_fit(found, apply, stored.made_of, finding.text)
         run.cameras[stream.name] = run.cameras[stream.name].model_copy(update={"fit": stored})
     log_findings(log, verdicts)
     if streams:
@@ -87,14 +88,17 @@ def _finding(name: str, found: CameraFit, apply: bool) -> Finding:
     )
 
 
-def _stored(found: CameraFit, made_of: str, verdict: str, apply: bool) -> StoredCameraFit:
+def stored_fit(
+    found: CameraFit, applied: bool, made_of: str = "", verdict: str = ""
+) -> StoredCameraFit:
+    """A fit as run.yaml holds it."""
     fit = found.fit
     tilt, pan, roll = fit.turn_deg.tolist()
     x, y, z = fit.shift_m.tolist()
     return StoredCameraFit(
         made_of=made_of,
         verdict=verdict,
-        applied=apply,
+        applied=applied,
         turn_deg=(tilt, pan, roll),
         shift_m=(x, y, z),
         time_ms=fit.time_ms,
@@ -109,7 +113,7 @@ def _fit(run: RunFolder, stream: CameraStream, progress: Progress | None) -> Cam
         return None
     found = edges_of_images(
         run.path, stream, drawn, lambda k: read_depth(maps[stream.names[k]]),
-        trajectory, tracks_in(run.path), progress, _IMAGES,
+        trajectory, tracks_in(run.path), progress, FITTED_IMAGES,
     )  # fmt: skip
     return fit_camera(found)
 
