@@ -244,7 +244,7 @@ def _read_records(path: Path) -> None:
     states(run)
     InputFiles(run).changed("sweeps")
     for name in run.records(root / "frames").names():
-        run.frame_key(0)
+        run.key(run.frame_path(0))
         run.records(root / "frames").state(name)
 
 

@@ -197,16 +197,6 @@ class Collector:
             known = {str(other) for other in self.errors}
             self.errors += [e for e in single_errors(error) if str(e) not in known]
 
-    def raise_errors(self) -> None:
-        """Raise what was found: one error as it is, several as one.
-
-        Raises
-        ------
-        DocDepthError
-            Of the class of the only error, else :class:`SeveralProblems`.
-        """
-        raise_together(self.errors)
-
 
 def single_errors(error: DocDepthError) -> list[DocDepthError]:
     """The errors that one is made of."""

@@ -10,7 +10,6 @@ A case names what was done, the command, how a copy is spoilt, and what must com
 from __future__ import annotations
 
 import logging
-import os
 import shutil
 import subprocess
 import sys
@@ -95,20 +94,16 @@ def lines(name: str, change: Callable[[list[str]], list[str]]) -> Spoil:
     return text(name, lambda old: "\n".join(change(old.splitlines())) + "\n")
 
 
-def points(change: Callable[[np.ndarray], np.ndarray], every: bool = False) -> Spoil:
-    """Change the points of one sweep, or of all."""
-
-    def spoil(at: Path) -> None:
-        for path in sorted((at / "d/velodyne").glob("*.bin")) if every else [at / SWEEP]:
-            change(np.fromfile(path, np.float32).reshape(-1, 4)).tofile(path)
-
-    return spoil
-
-
 def columns(count: int, dtype: str = "float32") -> Spoil:
     """Rows of another number of values, or of doubles."""
-    more = max(count - 4, 0)
-    return points(lambda x: np.pad(x, ((0, 0), (0, more)))[:, :count].astype(dtype), every=True)
+
+    def spoil(at: Path) -> None:
+        for path in (at / "d/velodyne").glob("*.bin"):
+            rows = np.fromfile(path, np.float32).reshape(-1, 4)
+            padded = np.pad(rows, ((0, 0), (0, max(count - 4, 0))))
+            padded[:, :count].astype(dtype).tofile(path)
+
+    return spoil
 
 
 def extrinsics(change: Callable[[np.ndarray], np.ndarray]) -> Spoil:
@@ -141,17 +136,6 @@ def evaluate(kind: str, truth: str) -> list[str]:
     return ["evaluate", kind, "r", f"--{kind}", truth]
 
 
-def copy_sweep(at: Path) -> None:
-    for file in sorted((at / "d/velodyne").glob("*.bin"))[1:]:
-        shutil.copy(at / "d/velodyne/000000.bin", file)
-
-
-def apple_doubles(at: Path) -> None:
-    """The files that a Mac puts beside those that it copies."""
-    for file in sorted((at / "d").glob("*/0*.*")):
-        file.with_name(f"._{file.name}").write_bytes(b"\0\5\26\7")
-
-
 def other_recording(at: Path) -> None:
     """A recording with the same names and sizes, of another drive."""
     shutil.copytree(at / "d", at / "d2")
@@ -177,23 +161,6 @@ def millimetres(at: Path) -> None:
         cv2.imwrite(str(at / "mm" / f"{file.stem}.png"), depth)
 
 
-def half_nan(rows: np.ndarray) -> np.ndarray:
-    rows[::2, :3] = np.nan
-    return rows
-
-
-def inverse(Tr: np.ndarray) -> np.ndarray:
-    return np.hstack([Tr[:, :3].T, -Tr[:, :3].T @ Tr[:, 3:]])
-
-
-def camera_axes(rows: np.ndarray) -> np.ndarray:
-    return np.column_stack([-rows[:, 1], -rows[:, 2], rows[:, 0], rows[:, 3]])
-
-
-def image(height: int, width: int) -> Spoil:
-    return lambda at: cv2.imwrite(str(at / IMAGE), np.zeros((height, width, 3), np.uint8))
-
-
 RECORDINGS = [
     ("no recording", ["run", "no", "-o", "n"], None, DatasetError, "no "),
     ("a file", ["run", "d/calib.txt", "-o", "n"], None, DatasetError, "calib.txt"),
@@ -206,7 +173,6 @@ RECORDINGS = [
     ("Tr in mm", NEW, extrinsics(lambda Tr: Tr * [1, 1, 1, 1000]), DatasetError, "Tr metres"),
     ("Tr of NaN", NEW, extrinsics(lambda Tr: Tr * np.nan), DatasetError, "Tr finite"),
     ("Tr, rows swapped", NEW, extrinsics(lambda Tr: Tr[[1, 0, 2]]), DatasetError, "Tr"),
-    ("Tr inverted", NEW, extrinsics(inverse), WARNED, "Tr down inverse"),
     ("Tr of 4 rows", NEW, lines("d/calib.txt", lambda x: [*x[:-1], f"{x[-1]} 0 0 0 1"]),
      DatasetError, "Tr 12"),
     ("no focal length", NEW, text("d/calib.txt", lambda t: t.replace("60", "0")),
@@ -215,30 +181,12 @@ RECORDINGS = [
     ("a time too few", NEW, lines("d/times.txt", lambda x: x[:-1]), DatasetError, "3 times 4"),
     ("times backwards", NEW, lines("d/times.txt", lambda x: x[::-1]), DatasetError, "frame 1"),
     ("times of words", NEW, write("d/times.txt", b"a\nb\n"), DatasetError, "line 1 'a'"),
-    ("times in ms", NEW, lines("d/times.txt", lambda x: [f"{1000 * float(t)}" for t in x]),
-     DatasetError, "seconds"),
-    ("times of Windows", NEW, lines("d/times.txt", lambda x: [f"\ufeff{x[0]}\r", *x[1:]]), REPAIRED,
-     ""),
-    ("files of a Mac", NEW, apple_doubles, REPAIRED, ""),
     ("an empty sweep", NEW, write(SWEEP, b""), DatasetError, "000002.bin empty"),
     ("a sweep cut off", NEW, cut(SWEEP, 0.4999), DatasetError, "000002.bin frame truncated"),
     ("a sweep missing", NEW, remove(SWEEP), WARNED, "missing"),
-    ("a sweep: a dead link", NEW, link(SWEEP, "no"), DatasetError, "000002.bin link"),
-    ("a sweep: a folder", NEW, folder(SWEEP), DatasetError, "000002.bin folder"),
-    ("a sweep of NaN", NEW, points(lambda x: x * np.nan), DatasetError, "000002.bin usable"),
-    ("half a sweep NaN", NEW, points(half_nan), WARNED, "000002 usable"),
-    ("one point", NEW, points(lambda x: x[:1]), DatasetError, "000002.bin usable"),
-    ("centimetres", NEW, points(lambda x: x * 100, every=True), DocDepthError, "000000.bin"),
     ("five floats", NEW, columns(5), DatasetError, "000000.bin float32"),
     ("three floats", NEW, columns(3), DatasetError, "000000.bin float32"),
     ("doubles", NEW, columns(4, "float64"), DatasetError, "000000.bin float64"),
-    ("one sweep again", NEW, copy_sweep, WARNED, "000001.bin copy"),
-    ("camera axes", NEW, points(camera_axes, every=True), WARNED, "down"),
-    ("a copy of a sweep", NEW, lambda at: shutil.copy(at / SWEEP, at / "d/velodyne/1 (1).bin"),
-     DatasetError, "1 (1).bin"),
-    ("an image cut off", NEW, cut(IMAGE, 0.5), DatasetError, "000001.png image"),
-    ("an image of text", NEW, write(IMAGE, b"hello"), DatasetError, "000001.png image"),
-    ("an image too small", NEW, image(10, 20), DatasetError, "000001.png 20 10"),
     ("poses, a row short", [*NEW, "--poses", "p.txt"], poses(lambda T: T[[0, 1, 2]]), OdometryError,
      "p.txt 3 4"),
     ("poses: a folder", [*NEW, "--poses", "d"], None, OdometryError, "poses"),
@@ -247,15 +195,11 @@ RECORDINGS = [
      OdometryError, "p.txt mirror"),
     ("poses with a scale", [*NEW, "--poses", "p.txt"], poses(lambda T: T * [2, 2, 2, 1]),
      OdometryError, "p.txt rotation"),
-    ("poses at rest", [*NEW, "--poses", "p.txt"], poses(lambda T: T[[0, 0, 0, 0]]), WARNED,
-     "poses fit"),
     ("poses inverted", [*NEW, "--poses", "p.txt"], poses(np.linalg.inv), WARNED, "poses fit"),
     ("poses with a header", [*NEW, "--poses", "p.txt"], write("p.txt", b"t,x,y\n0,0,0\n"),
      OdometryError, "p.txt"),
     ("image times: a folder", [*NEW, "--camera-times", "d"], None, DatasetError, "folder"),
     ("image times: a sweep", [*NEW, "--camera-times", SWEEP], None, DatasetError, "000002.bin"),
-    ("no image in time", [*NEW, "--camera-times", "t.txt"], write("t.txt", b"90\n91\n92\n93\n"),
-     DatasetError, "image_2"),
     ("docdepth.yaml broken", NEW, write("d/docdepth.yaml", b"a: [1"), DocDepthError, ".yaml"),
     ("docdepth.yaml a list", NEW, write("d/docdepth.yaml", b"- 1\n"), DocDepthError, ".yaml"),
     ("labels too few", evaluate("labels", "d"), cut("d/labels/000002.label", 0.5), DatasetError,
@@ -289,23 +233,13 @@ OPTIONS = [
     ("a space", [*NEW, "--camera", "image_2, image_2"], None, REPAIRED, ""),
     ("a format", [*NEW, "--format", "jpg"], None, USAGE, "jpg png"),
     ("a layer", [*NEW, "--layers", "tiem"], None, USAGE, "tiem time"),
-    ("a parameter", [*NEW, "--set", "dynamics.tau=1"], None, ConfigError, "dynamics.tau tolerance"),
-    ("no value", [*NEW, "--set", "dynamics.window"], None, ConfigError, "dynamics.window"),
-    ("half a list", [*NEW, "--set", "odometry.voxel_size=[1"], None, ConfigError, "voxel_size"),
-    ("NaN", [*NEW, "--set", "dynamics.tolerance=.nan"], None, ConfigError, "tolerance 10 m"),
     ("a decimal comma", [*NEW, "--set", "dynamics.tolerance=0,3"], None, ConfigError, "tolerance"),
-    ("minutes", [*NEW, "--set", "render.max_depth=1:20"], None, ConfigError, "max_depth 2000 m"),
     ("a tiny step", [*NEW, "--set", "render.step=1e-9"], None, ConfigError, "render.step 0.01"),
-    ("an even window", [*NEW, "--set", "dynamics.window=4"], None, ConfigError, "window odd"),
     ("a tiny scale", [*NEW, "--scale", "1e-7"], None, ConfigError, "scale 10000"),
-    ("too deep for PNG", [*NEW, "--set", "render.max_depth=700"], None, DatasetError, "PNG 700"),
     ("threads: -1", [*NEW, "--threads", "-1"], None, USAGE, "--threads"),
     ("threads: 999", [*NEW, "--threads", "999"], None, USAGE, "--threads 256"),
     ("half a size", [*NEW, "--image-size", "100"], None, DocDepthError, "100"),
     ("no such size", [*NEW, "--image-size", "9x9"], None, DocDepthError, "9 96"),
-    ("no such frames", [*NEW, "--frames", "90:99"], None, DocDepthError, "90:99 4"),
-    ("frames backwards", [*NEW, "--frames", "3:1"], None, DocDepthError, "3:1"),
-    ("frames in words", [*NEW, "--frames", "a:b"], None, DocDepthError, "a:b"),
     ("no config", [*NEW, "--config", "no"], None, ConfigError, "no"),
     ("config: a folder", [*NEW, "--config", "d"], None, ConfigError, "d"),
     ("config: a sweep", [*NEW, "--config", SWEEP], None, ConfigError, "000002.bin"),
@@ -313,8 +247,6 @@ OPTIONS = [
     ("config: broken", *config(b"a: [1\n"), ConfigError, "c.yaml line"),
     ("config: a typo", *config(b"odometry: {max_rage: 80}\n"), ConfigError, "c.yaml max_rage"),
     ("config: twice", *config(b"render: {step: 1}\nrender: {step: 2}\n"), ConfigError, "render"),
-    ("config: too small", *config(b"odometry: {max_range: -1}\n"), ConfigError, "c.yaml max_range"),
-    ("config: a preset", *config(b"preset: best\n"), ConfigError, "c.yaml best"),
     ("config: no recording", *config(b"inputs: {recording: 3}\nparameters: {}\n"), ConfigError,
      "c.yaml run.yaml"),
     ("neither", ["run", "-o", "n"], None, ConfigError, "recording"),
@@ -342,10 +274,7 @@ OPTIONS = [
     ("tune: inside", ["tune", "r", "-o", "r/depth", "--vary", "render.behind=5,6"], None,
      ConfigError, "r/depth"),
     ("synth over a drive", ["synth", "d"], None, DatasetError, "d not empty"),
-    ("output: a file", ["run", "d", "-o", "d/calib.txt"], None, DocDepthError, "calib.txt"),
     ("output below a file", ["run", "d", "-o", "d/calib.txt/n"], None, DocDepthError, "calib.txt"),
-    ("output: the recording", ["run", "d", "-o", "d"], None, DocDepthError, "d"),
-    ("output: a dead link", ["run", "d", "-o", "l"], link("l", "no"), DocDepthError, "l"),
     ("output: a link loop", ["run", "d", "-o", "l"], link("l", "l"), DocDepthError, "l"),
     ("output: read-only", ["run", "d", "-o", "/proc/run"], None, DocDepthError, "/proc/run"),
     ("not this stage's", ["render", "r", "--set", "odometry.min_range=1"], None, DocDepthError,
@@ -356,35 +285,24 @@ RUNS = [
     ("the same again", AGAIN, None, REPAIRED, ""),
     ("run.yaml empty", AGAIN, write("r/run.yaml", b""), REPAIRED, ""),
     ("run.yaml a list", AGAIN, write("r/run.yaml", b"- 1\n"), REPAIRED, ""),
-    ("run.yaml binary", AGAIN, write("r/run.yaml", bytes(range(256))), REPAIRED, ""),
-    ("run.yaml cut off", AGAIN, cut("r/run.yaml", 0.5), REPAIRED, ""),
     ("run.yaml gone", AGAIN, remove("r/run.yaml"), REPAIRED, ""),
     ("run.yaml, a typo", ["run", "r"],
      text("r/run.yaml", lambda t: t.replace("tolerance:", "tolerence:")), ConfigError, "tolerence"),
     ("no stages", ["run", "r"], write("r/run.yaml", b"source: {}\nparameters: {}\n"),
      REPAIRED, ""),
-    ("moved", ["run", "d2", "-o", "r"], move("d", "d2"), REPAIRED, ""),
-    ("moved, run alone", ["run", "r"], move("d", "d2"), DocDepthError, "d"),
     ("another recording", ["run", "d2", "-o", "r"], other_recording, RunError, "d d2"),
-    ("other parameters", [*AGAIN, "--set", "dynamics.tolerance=0.3"], None, RunError, "0.2 0.3"),
     ("frame missing", AGAIN, remove(FRAME), REPAIRED, ""),
-    ("frame cut off", AGAIN, cut(FRAME, 0.5), REPAIRED, ""),
     ("frame cut off, render", ["render", "r"], cut(FRAME, 0.5), RunError, "frame_000002.ply"),
     ("frame missing, evaluate", ["evaluate", "held-out", "r", "--camera", "image_2"],
      remove(FRAME), RunError, "frame_000002.ply"),
     ("no frames", AGAIN, remove("r/frames"), REPAIRED, ""),
-    ("no trajectory", AGAIN, remove("r/traj_odometry.ply"), REPAIRED, ""),
     ("trajectory cut off", AGAIN, cut("r/traj_odometry.ply", 0.7), REPAIRED, ""),
     ("no labels", AGAIN, remove("r/labels"), REPAIRED, ""),
-    ("labels cut off", AGAIN, cut("r/labels/000001.label", 0.5), REPAIRED, ""),
-    ("map missing", AGAIN, remove(MAP), REPAIRED, ""),
-    ("map cut off", AGAIN, cut(MAP, 0.5), REPAIRED, ""),
     ("map renamed", AGAIN, move(MAP, f"{MAP}.jpg"), REPAIRED, ""),
     ("map a folder", AGAIN, folder(MAP), WARNED, "000001.png.old"),
     ("map missing, video", ["video", "r", "--camera", "image_2"], remove(MAP), RunError,
      "000001.png"),
     ("no depth.json", AGAIN, remove("r/depth/depth.json"), REPAIRED, ""),
-    ("calib.json broken", AGAIN, write("r/calib.json", b"{"), REPAIRED, ""),
     ("no recording", AGAIN, remove("d"), DatasetError, "d"),
     ("a sweep changed", AGAIN, cut("d/velodyne/000001.bin", 0.4999), DatasetError, "000001.bin"),
     ("no run, render", ["render", "d"], None, RunError, "d"),
@@ -454,26 +372,9 @@ def test_a_mistake_is_answered(
     assert not missing, message
 
 
-@pytest.mark.parametrize(
-    ("command", "key_words"),
-    [
-        ("ln -s e e; $DOCDEPTH run e -o n", "e link"),
-        (f"$DOCDEPTH run d -o {'x' * 300}", "xxx longer"),
-        ("$DOCDEPTH run $'b\\xff' -o n", "not there"),
-        ("ulimit -f 4; trap '' XFSZ; $DOCDEPTH run d -o n", "n/ too large"),
-        ("mkdir gone; cd gone; rmdir ../gone; $DOCDEPTH run d -o n", "folder"),
-        ("$DOCDEPTH run d -o n & $DOCDEPTH run d -o n; code=$?; wait $!; exit $code", "in use"),
-    ],
-)
 @pytest.mark.slow
-def test_what_the_system_refuses_is_a_sentence(made: Path, tmp_path: Path, command, key_words):
-    shutil.copytree(made / "d", tmp_path / "d")
-    environment = {**os.environ, "DOCDEPTH": f"{sys.executable} -m docdepth"}
-    ended = subprocess.run(
-        ["bash", "-c", command], cwd=tmp_path, capture_output=True, env=environment, text=True
-    )
-    if key_words == "in use" and ended.returncode == 0:
-        return  # the first had ended
+def test_a_limit_to_the_size_of_files_is_answered(made: Path, tmp_path: Path):
+    command = f"ulimit -f 4; trap '' XFSZ; {sys.executable} -m docdepth run {made / 'd'} -o n"
+    ended = subprocess.run(["bash", "-c", command], cwd=tmp_path, capture_output=True, text=True)
     assert ended.returncode == 2, ended.stderr
-    missing = [word for word in key_words.split() if word not in ended.stderr.lower()]
-    assert not missing, ended.stderr
+    assert "too large" in ended.stderr

@@ -102,18 +102,6 @@ def test_a_run_is_told_in_json(docdepth, drive, tmp_path):
     assert "odometry" in ended.err  # progress
 
 
-@pytest.mark.parametrize(
-    ("verb", "setting"),
-    [("render", "render.max_depth=700"), ("render", "render.ahead=-1"), ("run", "x.y=1")],
-)
-def test_a_refused_setting_is_not_kept(finished, verb, setting):
-    manifest = finished[0] / "run.yaml"
-    before = manifest.read_text()
-    assert cli(verb, finished[0], "--set", setting).exit_code == 2
-    assert manifest.read_text() == before
-    assert cli("render", finished[0]).exit_code == 0
-
-
 class TestConfig:
     def write(self, folder, tree):
         path = folder / "config.yaml"

@@ -21,6 +21,7 @@ from docdepth.errors import (
     DatasetError,
     DocDepthError,
     SeveralProblems,
+    raise_together,
 )
 
 
@@ -72,10 +73,10 @@ def test_a_collector_goes_on_after_errors_of_docdepth_alone() -> None:
         with problems.collected():
             raise ConfigError(text)
     with pytest.raises(SeveralProblems, match=r"^2 problems:\n  first\n  second$"):
-        problems.raise_errors()
+        raise_together(problems.errors)
     with pytest.raises(ZeroDivisionError), problems.collected():
         raise ZeroDivisionError
-    Collector().raise_errors()
+    raise_together(Collector().errors)
 
 
 def test_many_broken_sweeps_are_one_problem(copy: Path) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from docdepth.diagnostics.results import check_classes, check_density, count_classes
 from docdepth.diagnostics.sweeps import find_lonely_returns, spread
+from docdepth.dynamics.classes import count_classes, find_unlikely_classes
+from docdepth.pipeline.depth_files import find_empty_maps
 
 
 def _hall(height: float = 0.0) -> np.ndarray:
@@ -42,7 +43,7 @@ def test_points_that_were_not_seen_from_their_origin(height, wrong):
     ],
 )
 def test_classes_that_cannot_be(count, codes):
-    assert [found.code for found in check_classes(np.multiply(count, 20))] == codes
+    assert [found.code for found in find_unlikely_classes(np.multiply(count, 20))] == codes
 
 
 def test_classes_are_counted():
@@ -52,7 +53,7 @@ def test_classes_are_counted():
 
 @pytest.mark.parametrize(("coverage", "warned"), [([0.6, 0.7], 0), ([0.01, 0.0, 0.02], 1), ([], 0)])
 def test_maps_that_are_all_but_empty(coverage, warned):
-    found = check_density(coverage, "image_02")
+    found = find_empty_maps(coverage, "image_02")
     assert [f.code for f in found] == ["empty-maps"] * warned
     assert all("only 1.0 % of the pixels of image_02" in f.text for f in found)
 

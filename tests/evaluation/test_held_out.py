@@ -40,7 +40,7 @@ def run(finished, tmp_path):
 
 def change(run, index, **arrays):
     folder = RunFolder.open(run)
-    frame, key = replace(folder.frame(index), **arrays), folder.frame_key(index)
+    frame, key = replace(folder.frame(index), **arrays), folder.key(folder.frame_path(index))
     folder.write_frame(index, frame, key)
 
 

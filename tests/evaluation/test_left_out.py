@@ -51,7 +51,7 @@ def change(rig):
     """Changes the points of one LiDAR in all sweeps; all is as before afterwards."""
     folder = RunFolder.open(rig)
     kept = {k: folder.frame_path(k).read_bytes() for k in range(FRAMES)}
-    keys = {k: folder.frame_key(k) for k in kept}
+    keys = {k: folder.key(folder.frame_path(k)) for k in kept}
 
     def scale(lidar, factor):
         for k in kept:
@@ -219,7 +219,7 @@ def test_left_out_beams_are_not_drawn(rig):
     np.testing.assert_array_equal(np.isfinite(view.points).all(axis=1), rows)
     assert not (rows & (frame.sensor_rig.index == 1)).any()
     before = folder.frame_path(3).read_bytes()
-    key = folder.frame_key(3)
+    key = folder.key(folder.frame_path(3))
     factors = np.where(rows, np.float32(0.7), np.float32(1))[:, None]
     seen = []
     evaluate_held_out(rig, every=7, left_out=beams, look=seen.append)

@@ -42,11 +42,10 @@ from docdepth.io.depth import encode_depth, read_depth
 from docdepth.io.frames import read_frame, read_trajectory, write_frame, write_trajectory
 from docdepth.io.images import decode_image
 from docdepth.io.labels import read_classes
-from docdepth.io.npy import ArrayError, read_array, read_arrays
 from docdepth.io.poses import read_poses, read_tum
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import COLUMNS, read_tracks
-from docdepth.io.yaml_json import parse_json, parse_yaml
+from docdepth.io.untrusted import ArrayError, parse_json, parse_yaml, read_array, read_arrays
 from docdepth.pipeline.plan import states
 
 FRAME = LidarFrame(
@@ -409,7 +408,7 @@ def test_records_of_other_types_count_as_lost(run: RunFolder, record: dict[str, 
     records = run.state_dir / "records" / "frames.jsonl"
     line = json.loads(records.read_text().splitlines()[-1])
     records.write_text(json.dumps({**line, **record}) + "\n")
-    assert RunFolder.open(run.path).frame_key(0) == {}
+    assert RunFolder.open(run.path).key(run.frame_path(0)) == {}
 
 
 @pytest.mark.parametrize("first", [-5_050_000_000, -50_000_000, 0, 1_700_000_000_123_456_789])

@@ -8,8 +8,8 @@ import numpy as np
 
 from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.odometry.passes import LoggedRegistration
-from docdepth.odometry.registration import SEEN, Traffic
-from docdepth.odometry.registration_log import Found, RegistrationLog
+from docdepth.odometry.registration import SEEN, Found, Traffic
+from docdepth.odometry.registration_log import RegistrationLog
 
 STEP = 2.5  # metres a sweep
 
@@ -121,8 +121,8 @@ def test_an_interrupted_drive_reads_the_sweeps_that_tell_traffic(tmp_path: Path)
         def take(self, points: np.ndarray, guess: np.ndarray) -> None:
             taken.append(round(guess[0, 3] / STEP))
 
-        def align(self, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-            return guess, np.eye(6), 1.0
+        def align(self, guess: np.ndarray) -> Found:
+            return Found(guess, np.eye(6), True)
 
         def insert(self, pose: np.ndarray) -> None:
             inserted.append(round(pose[0, 3] / STEP))

@@ -16,7 +16,7 @@ from docdepth.io.labels import read_classes
 from docdepth.io.poses import write_kitti
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import cut_tracks, read_tracks, write_tracks
-from docdepth.pipeline import given_labels
+from docdepth.pipeline import classify
 from docdepth.pipeline.label_folder import LabelFolder
 from docdepth.pipeline.plan import states
 from small_drive import SWEEPS, write_small_drive
@@ -111,7 +111,7 @@ def test_the_stage_says_so_and_goes_on(root, other, tmp_path):
 
 def test_an_interrupted_stage_goes_on(root, tmp_path, monkeypatch):
     """It keeps what is written, and the whole is as without the interruption."""
-    write, output = given_labels.write_classified, tmp_path / "run"
+    write, output = classify.write_classified, tmp_path / "run"
 
     def stop_at_the_third(run, index, *more):
         if index == 2:
@@ -119,7 +119,7 @@ def test_an_interrupted_stage_goes_on(root, tmp_path, monkeypatch):
         write(run, index, *more)
 
     with monkeypatch.context() as patch:
-        patch.setattr(given_labels, "write_classified", stop_at_the_third)
+        patch.setattr(classify, "write_classified", stop_at_the_third)
         assert run(root, output, "--labels", root / "own").exit_code != 0
     kept = {file: file.stat().st_mtime_ns for file in (output / "labels").glob("*.label")}
     assert len(kept) == 2

@@ -12,11 +12,11 @@ import yaml
 
 import docdepth
 from command_line import cli
-from docdepth.diagnostics import rotation
 from docdepth.geometry.turn import Turn
 from docdepth.io.inputs import DerivedInputs, RunInputs
 from docdepth.io.run_folder import RunFolder
-from docdepth.odometry.skew import Sharpness, Skew
+from docdepth.odometry import skew
+from docdepth.odometry.skew import Sharpness, Skew, find_rotation
 from docdepth.pipeline.run import continue_run
 from docdepth.pipeline.run_inputs import open_inputs
 from docdepth.synthetic import Drive, scene, sensor
@@ -43,8 +43,8 @@ def write_folder(folder: Path, count: int, skew: bool = True, **said: object) ->
 
 def judged(monkeypatch: pytest.MonkeyPatch, state: str) -> None:
     """The sharpness as it would be."""
-    skew = Skew(state, MEASURED.turn, MEASURED.measured, MEASURED.compensated)
-    monkeypatch.setattr(rotation, "find_skew", lambda *_, **__: skew)
+    found = Skew(state, MEASURED.turn, MEASURED.measured, MEASURED.compensated)
+    monkeypatch.setattr(skew, "find_skew", lambda *_, **__: found)
 
 
 def test_a_run_takes_times_by_rotation_and_keeps_to_them(tmp_path, monkeypatch, caplog) -> None:
@@ -92,7 +92,7 @@ def test_what_docdepth_yaml_says_is_taken(tmp_path, monkeypatch) -> None:
     inputs = RunInputs(recording=folder, camera="none")
     assert open_inputs(inputs).derived.turn is None
     assert open_inputs(inputs, DerivedInputs(turn=Turn(True))).derived.turn is None
-    found = rotation.find_rotation(open_inputs(inputs).recording)[1]
+    found = find_rotation(open_inputs(inputs).recording)[1]
     assert [one.code for one in found] == ["not-compensated"]
 
 

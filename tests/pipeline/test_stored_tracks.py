@@ -10,8 +10,8 @@ from docdepth.config import Parameters
 from docdepth.dynamics.tracking import TrackedSweep
 from docdepth.errors import DamagedFileError
 from docdepth.geometry.track import Track
-from docdepth.io.npy import read_kept_arrays
 from docdepth.io.run_folder import RunFolder
+from docdepth.io.untrusted import read_kept_arrays
 from docdepth.pipeline.sweep_store import TRACKING, TrackStore, sweep_file, write_arrays
 
 KEY = {"classify": "1"}

@@ -12,7 +12,7 @@ from docdepth.config import STAGES, Preset, departures, parameters
 from docdepth.errors import ConfigError
 from docdepth.io.inputs import RunInputs
 from docdepth.io.manifest import RunManifest
-from docdepth.io.opened import read_text
+from docdepth.io.untrusted import read_text
 
 
 class RunConfigFile(NamedTuple):

@@ -26,10 +26,9 @@ from docdepth.datasets.kitti_files import in_order
 from docdepth.datasets.times import times_of_names
 from docdepth.errors import DamagedFileError, DatasetError, InputError, RunError
 from docdepth.geometry.se3 import poses_from, quaternion_to_matrix
-from docdepth.io.npy import ArrayError, read_array
-from docdepth.io.opened import open_file, read_file
 from docdepth.io.pcd import PcdError, read_pcd, read_pcd_header
 from docdepth.io.ply import read_vertices
+from docdepth.io.untrusted import ArrayError, open_file, read_array, read_file
 
 NANOSECOND, MICROSECOND = 1, 1000
 KITTI_COLUMNS = ("x", "y", "z", "intensity")

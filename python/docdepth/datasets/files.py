@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import CalibrationError, DatasetError, DocDepthError, MissingExtraError
 from docdepth.io.images import decode_image
-from docdepth.io.opened import read_file
-from docdepth.io.yaml_json import parse_json
+from docdepth.io.untrusted import parse_json, read_file
 
 _Opened = TypeVar("_Opened")
 _File = TypeVar("_File")

@@ -29,7 +29,7 @@ from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.geometry.camera import Camera, camera_of
 from docdepth.geometry.se3 import check_rigid, nearest_rigid
 from docdepth.io.poses import read_poses_at
-from docdepth.io.yaml_json import parse_yaml
+from docdepth.io.untrusted import parse_yaml
 
 _WHOLE = 1e-9  # of a rotation's numbers; larger errors come of missing digits
 _WORDS = {"Input should be": "it must be", "a valid boolean": "true or false", "a valid": "a"}

@@ -268,3 +268,16 @@ class TurningLidar(View):
         sweep = super().sweep(index)
         times = None if self.turn is None else self.turn.relative_time(sweep.points)
         return replace(sweep, relative_time=times, motion_compensated=False)
+
+
+def is_lone_lidar(recording: Dataset) -> bool:
+    """Whether a recording is a folder of clouds of one LiDAR, which may be of any kind."""
+    return recording.name == "folder" and len(recording.lidars) == 1
+
+
+def lacks_times(recording: Dataset) -> bool:
+    """Whether points of such a folder have no times, which their rotation may tell."""
+    if not is_lone_lidar(recording):
+        return False
+    first = recording.sweep(0)
+    return first.relative_time is None and not first.motion_compensated

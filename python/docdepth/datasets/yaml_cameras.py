@@ -16,7 +16,7 @@ from docdepth.datasets.kitti_files import agreed_size, image_files
 from docdepth.datasets.recording import Poses, Recording
 from docdepth.datasets.settings import CameraSettings, RecordingSettings, transform
 from docdepth.datasets.times import read_times, times_of_files
-from docdepth.errors import Collector, DatasetError
+from docdepth.errors import Collector, DatasetError, raise_together
 
 log = logging.getLogger(__name__)
 
@@ -81,7 +81,7 @@ def yaml_cameras(
                 cameras[name] = found
             else:
                 uncalibrated[name] = found
-    problems.raise_errors()
+    raise_together(problems.errors)
     return cameras, uncalibrated
 
 

@@ -20,7 +20,7 @@ from docdepth.datasets.files import (
 from docdepth.diagnostics.alignment import find_misalignment
 from docdepth.diagnostics.sweeps import of_broken, sample
 from docdepth.errors import Collector, DatasetError, Finding, collected
-from docdepth.io.opened import open_file, read_text
+from docdepth.io.untrusted import open_file, read_text
 
 _IMAGES = 6  # that are opened
 _TAIL = 64  # bytes at the end of an image that hold its mark

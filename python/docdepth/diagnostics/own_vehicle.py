@@ -121,7 +121,7 @@ def _motion(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[
     registration.take(first.astype(np.float32), start)
     registration.insert(start)
     registration.take(second.astype(np.float32), start)
-    return registration.align(start)[0][:3, 3]
+    return registration.align(start).pose[:3, 3]
 
 
 def sweeps_on_the_way(times: NDArray[np.float64], speeds: NDArray[np.float64]) -> list[int]:

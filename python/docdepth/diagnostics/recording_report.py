@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from docdepth.config import Parameters
 from docdepth.datasets import Dataset, FrameRange, Sweep, full_recording, usable_points
+from docdepth.datasets.views import is_lone_lidar, lacks_times
 from docdepth.diagnostics import recording_checks
 from docdepth.diagnostics.cameras import check_camera
 from docdepth.diagnostics.lidar_figures import lidar_figures, row_shares, time_figures
 from docdepth.diagnostics.own_vehicle import find_own_vehicle
 from docdepth.diagnostics.poses import Window, pose_figures, share_on, windows_of
 from docdepth.diagnostics.recording_checks import Inspection
-from docdepth.diagnostics.rotation import find_rotation, is_lone_lidar, lacks_times
 from docdepth.diagnostics.sweeps import check_sweeps, find_lonely_returns, find_sensor_origin
 from docdepth.errors import DocDepthError, Finding, collected, in_order
 from docdepth.geometry.ground_plane import find_ground
@@ -36,6 +36,7 @@ from docdepth.odometry.pose_checks import (
     find_misfit,
     find_no_motion,
 )
+from docdepth.odometry.skew import find_rotation
 
 _WINDOW = 6  # sweeps that are registered with each other
 _BETTER = 1.1  # times the share of points on each other, by registration against given poses

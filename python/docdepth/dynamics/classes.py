@@ -14,10 +14,16 @@ from numpy.typing import NDArray
 import docdepth._core as _core
 from docdepth.config import DynamicsParameters
 from docdepth.dynamics.voting import Votes
-from docdepth.errors import InputError
+from docdepth.errors import Finding, InputError
 from docdepth.geometry.points import DYNAMIC, GROUND, STATIC, ShortRepr
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.track import Track
+
+# Each threshold lies between what right recordings give and what wrong ones give.
+_LEAST_GROUND = 0.01  # share of returns on the ground: 0.3 to 0.7
+# Share of dynamic points of those above the ground: 0.01 to 0.45, the most at a busy crossing; 0.79
+# between lorries on a motorway, which is right, too.
+_MOST_DYNAMIC = 0.5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -138,3 +144,35 @@ def confidence(votes: Votes) -> NDArray[np.float32]:
             "give both counts of the same points"
         )
     return np.asarray(np.abs(dynamic - static) / (dynamic + static + 2), np.float32)
+
+
+def count_classes(classid: NDArray[np.uint16]) -> NDArray[np.int64]:
+    """Points of a sweep: all, of the ground, and dynamic ones."""
+    ground, dynamic = classid == GROUND, classid >= DYNAMIC
+    return np.array([len(classid), np.count_nonzero(ground), np.count_nonzero(dynamic)])
+
+
+def find_unlikely_classes(counts: NDArray[np.int64]) -> list[Finding]:
+    """Whether there is next to no ground, or moving points are everywhere.
+
+    Parameters
+    ----------
+    counts : ndarray of int64, shape (3,)
+        The sum of those of each sweep, from :func:`count_classes`.
+    """
+    points, ground, dynamic = counts.tolist()
+    above, found = points - ground, []
+    if ground < _LEAST_GROUND * points:
+        text = (
+            f"only {100 * ground / points:.1f} % of the points are ground: the LiDAR's z axis may "
+            "not point up, the poses may be wrong, or the points may not be in metres"
+        )
+        found.append(Finding("no-ground", "", text))
+    if dynamic > _MOST_DYNAMIC * above:
+        text = (
+            f"{100 * dynamic / above:.0f} % of the points above the ground are called dynamic: "
+            "unless traffic is all around, the poses or the order of the sweeps may be wrong, or "
+            "the points may not be in the frame of the LiDAR"
+        )
+        found.append(Finding("much-dynamic", "", text))
+    return found

@@ -16,9 +16,8 @@ from docdepth.evaluation.pixels import Mask
 from docdepth.geometry.camera import below_horizon
 from docdepth.geometry.points import MOVING_LABELS
 from docdepth.io.depth import maps_in, read_depth
-from docdepth.io.npy import ArrayError, read_array, read_arrays
-from docdepth.io.opened import read_text
 from docdepth.io.run_folder import RunFolder
+from docdepth.io.untrusted import ArrayError, read_array, read_arrays, read_text
 from docdepth.pipeline.convert import INSIDE
 
 log = logging.getLogger(__name__)

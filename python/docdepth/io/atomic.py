@@ -21,7 +21,7 @@ import numpy as np
 from isal import isal_zlib
 
 from docdepth.errors import RunError
-from docdepth.io.opened import open_file
+from docdepth.io.untrusted import open_file
 
 log = logging.getLogger(__name__)
 

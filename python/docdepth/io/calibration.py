@@ -15,8 +15,7 @@ from docdepth.errors import CalibrationError, InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import check_rigid
 from docdepth.io.atomic import WriteFile, write_atomically
-from docdepth.io.opened import read_text
-from docdepth.io.yaml_json import parse_json
+from docdepth.io.untrusted import parse_json, read_text
 
 INTRINSICS = "calib.json"
 """File of K (``mtx``), distortion (``dist``) and image size in pixels (``size``)."""

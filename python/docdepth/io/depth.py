@@ -16,9 +16,14 @@ from numpy.typing import NDArray
 from docdepth.errors import DamagedFileError, DatasetError, InputError
 from docdepth.io.atomic import write_atomically
 from docdepth.io.images import decode_image, encode_exr, encode_png, import_exr, read_exr
-from docdepth.io.npy import ArrayError, read_array, read_arrays
-from docdepth.io.opened import read_file, read_text
-from docdepth.io.yaml_json import parse_json
+from docdepth.io.untrusted import (
+    ArrayError,
+    parse_json,
+    read_array,
+    read_arrays,
+    read_file,
+    read_text,
+)
 
 FORMATS = {  # from the least to the most exact
     "png": ".png",  # uint16, metres times a scale, 0 = none

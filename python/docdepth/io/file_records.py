@@ -12,8 +12,7 @@ from typing import Any, Literal
 
 from docdepth.errors import RunError
 from docdepth.io.atomic import Written, checksum
-from docdepth.io.opened import open_file
-from docdepth.io.yaml_json import parse_json
+from docdepth.io.untrusted import open_file, parse_json
 
 FileState = Literal["whole", "damaged", "missing", "unknown"]
 """``unknown``: docdepth did not write the file, or its record is lost."""

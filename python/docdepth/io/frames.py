@@ -17,8 +17,8 @@ from docdepth.geometry.se3 import matrix_to_quaternion, poses_from, quaternion_t
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import WriteFile, write_atomically
 from docdepth.io.file_records import is_file_name
-from docdepth.io.npy import ArrayError, read_array, read_kept_arrays
 from docdepth.io.ply import read_comments, read_vertices, write_vertices
+from docdepth.io.untrusted import ArrayError, read_array, read_kept_arrays
 
 _SECOND = 1_000_000_000  # nanoseconds
 

@@ -14,7 +14,7 @@ from isal import isal_zlib
 from numpy.typing import NDArray
 
 from docdepth.errors import DatasetError, MissingExtraError, RunError
-from docdepth.io.opened import read_file
+from docdepth.io.untrusted import read_file
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _JPEG, _END = b"\xff\xd8", b"\xff\xd9"

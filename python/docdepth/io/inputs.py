@@ -167,11 +167,6 @@ class RunInputs(Checked):
         camera, file = camera_and_file(os.fspath(poses))
         return f"{camera}:{_absolute(file)}" if camera else str(_absolute(file))
 
-    @property
-    def skips_broken(self) -> bool:
-        """Whether broken sweeps and images are left out."""
-        return self.on_error == "skip"
-
     def but(self, **changes: Any) -> RunInputs:
         """The inputs with other values."""
         return RunInputs(**self.model_dump() | changes)

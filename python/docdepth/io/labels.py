@@ -22,9 +22,8 @@ from docdepth.geometry.points import (
     STATIC_LABEL,
 )
 from docdepth.io.atomic import WriteFile, write_atomically
-from docdepth.io.npy import ArrayError, read_array
-from docdepth.io.opened import read_file
 from docdepth.io.pcd import PcdError, read_pcd
+from docdepth.io.untrusted import ArrayError, read_array, read_file
 
 LABEL_FORMATS = ("label", "classid", "pcd")
 """What labels are converted to: SemanticKITTI's, NPY, and PCD with the class as intensity."""

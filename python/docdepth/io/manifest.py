@@ -13,8 +13,7 @@ from docdepth.config import Parameters, stored_parameters
 from docdepth.errors import ConfigError, RunError
 from docdepth.io.file_records import is_file_name
 from docdepth.io.inputs import Checked, DerivedInputs, RunInputs
-from docdepth.io.opened import read_text
-from docdepth.io.yaml_json import parse_yaml
+from docdepth.io.untrusted import parse_yaml, read_text
 
 Keep = Literal["frames", "results"]
 """Whether the frames stay once all is done, or only the results."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import MissingExtraError
 from docdepth.io.atomic import write_atomically
-from docdepth.io.opened import open_file, read_file
+from docdepth.io.untrusted import open_file, read_file
 
 _TYPES = {
     "F": {4: "<f4", 8: "<f8"},

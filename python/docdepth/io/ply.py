@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError, RunError
 from docdepth.io.atomic import WriteFile, write_atomically
-from docdepth.io.opened import open_file
+from docdepth.io.untrusted import open_file
 
 _BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 

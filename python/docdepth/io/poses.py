@@ -25,8 +25,7 @@ from docdepth.geometry.se3 import (
 )
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.frames import read_trajectory
-from docdepth.io.npy import ArrayError, read_array
-from docdepth.io.opened import read_text
+from docdepth.io.untrusted import ArrayError, read_array, read_text
 
 log = logging.getLogger(__name__)
 

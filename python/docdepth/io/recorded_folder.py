@@ -22,7 +22,7 @@ from docdepth.io.atomic import (
     write_atomically,
 )
 from docdepth.io.file_records import FileRecords, shared_records
-from docdepth.io.opened import read_file
+from docdepth.io.manifest import RunManifest
 
 STATE_DIR = ".docdepth"
 """Folder of a run with what docdepth needs to continue it; nothing in it is a result."""
@@ -96,11 +96,14 @@ class RecordedFolder:
 
     Attributes
     ----------
-    state_dir : Path
-        Folder with what docdepth needs to continue the run.
+    state_dir, staging : Path
+        Folder with what docdepth needs to continue the run, and in it files of workers that have no
+        name yet.
     staged : list of StagedFile, or None
         What the copy of a worker has written; None for the folder itself.
     """
+
+    manifest: RunManifest
 
     def __init__(self, path: Path) -> None:
         self._set_paths(Path(path))
@@ -121,11 +124,7 @@ class RecordedFolder:
 
     def _set_paths(self, path: Path) -> None:
         self.path, self.state_dir = path, path / STATE_DIR
-
-    @property
-    def staging(self) -> Path:
-        """Folder of files that workers have written and that have no name yet."""
-        return self.state_dir / "staging"
+        self.staging = self.state_dir / "staging"
 
     def commit(self, files: Iterable[StagedFile]) -> None:
         """Give files of a worker their names, and record them.
@@ -266,7 +265,7 @@ class RecordedFolder:
         """
         name = folder.relative_to(self.path).as_posix()
         with self._writing:
-            records, before = self.records(folder), self.folders_written
+            records, before = self.records(folder), self.manifest.folders_written
             if records.path.is_file():
                 return  # another thread was here before
             if (before is None or name in before) and folder.is_dir():
@@ -278,13 +277,8 @@ class RecordedFolder:
                 before.append(name)
                 self.save()
 
-    @property
-    def folders_written(self) -> list[str] | None:
-        """Folders that docdepth has written into; None if it did not make this folder."""
-        raise NotImplementedError
-
     def save(self) -> None:
-        """Keep what has changed in the list of these folders."""
+        """Keep what has changed in the manifest."""
         raise NotImplementedError
 
     def writer(self, key: dict[str, str]) -> WriteFile:
@@ -307,11 +301,6 @@ class RecordedFolder:
         shutil.rmtree(folder, ignore_errors=True)
         for known in [f for f in self._records if f == folder or folder in f.parents]:
             self._records.pop(known).path.unlink(missing_ok=True)
-
-    def move_into_place(self, part: Path, path: Path, key: dict[str, str]) -> None:
-        """Give a file that is whole its name, and record it."""
-        self.write(path, lambda stream: stream.write(read_file(part)), key)
-        part.unlink()
 
     def invalidate(self, path: Path) -> None:
         """Have a file made again."""

@@ -33,9 +33,8 @@ from docdepth.io.frames import (
 )
 from docdepth.io.inputs import DerivedInputs, RunInputs
 from docdepth.io.manifest import CameraEntry, RunManifest, StageEntry, read_manifest
-from docdepth.io.opened import read_file, read_text
 from docdepth.io.recorded_folder import STATE_DIR, RecordedFolder, check_entries
-from docdepth.io.yaml_json import parse_json
+from docdepth.io.untrusted import parse_json, read_file, read_text
 
 log = logging.getLogger(__name__)
 
@@ -179,10 +178,6 @@ class RunFolder(RecordedFolder):
             )
 
     @property
-    def folders_written(self) -> list[str] | None:
-        return self.manifest.folders_written
-
-    @property
     def parameters(self) -> Parameters:
         """The parameters of the run."""
         return self.manifest.parameters
@@ -311,10 +306,6 @@ class RunFolder(RecordedFolder):
     def write_sensors(self, sensor_rig: SensorRig, key: dict[str, str]) -> None:
         """Write where the LiDARs or their lasers sit, once for all frames."""
         write_sensors(self.sensors_path, sensor_rig, self.writer(key))
-
-    def frame_key(self, index: int) -> dict[str, str]:
-        """What frame ``index`` was made of, a hash for each stage; empty if it is not whole."""
-        return self.key(self.frame_path(index))
 
     def write_frame(self, index: int, frame: LidarFrame, key: dict[str, str] | None = None) -> None:
         """Write frame ``index``; ``key`` tells what it is made of, a hash for each stage."""

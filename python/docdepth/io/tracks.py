@@ -19,7 +19,7 @@ from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.track import KINDS, Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import WriteFile, write_atomically
-from docdepth.io.opened import open_file
+from docdepth.io.untrusted import open_file
 
 TRACKS = "tracks.csv"
 """Name of the file in a run and in a synthetic drive."""

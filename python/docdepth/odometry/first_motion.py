@@ -272,5 +272,5 @@ def _registered(sweeps: list[_Points], motion: NDArray[np.float64]) -> NDArray[n
     registration.take(sweeps[0].moved(motion), start)
     registration.insert(start)
     registration.take(sweeps[1].moved(motion), start)
-    more: NDArray[np.float64] = registration.align(start)[0] @ motion
+    more: NDArray[np.float64] = registration.align(start).pose @ motion
     return more

@@ -20,7 +20,8 @@ from docdepth.geometry.se3 import inverse, se3_log
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry.places import Placed, Places, locate
 from docdepth.odometry.pose_graph import Edge, between_nodes, misfits, optimized
-from docdepth.odometry.registration_log import Found, RegistrationLog
+from docdepth.odometry.registration import Found
+from docdepth.odometry.registration_log import RegistrationLog
 from docdepth.odometry.sweeps import ThinnedSweeps
 
 log = logging.getLogger(__name__)

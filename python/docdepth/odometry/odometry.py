@@ -47,8 +47,8 @@ from docdepth.odometry.pose_checks import (
 )
 from docdepth.odometry.pose_graph import check_solver
 from docdepth.odometry.refinement import refine_poor
-from docdepth.odometry.registration import FEWEST_POINTS
-from docdepth.odometry.registration_log import Found, RegistrationLog
+from docdepth.odometry.registration import FEWEST_POINTS, Found
+from docdepth.odometry.registration_log import RegistrationLog
 from docdepth.odometry.smoothing import LAG, smoothed
 from docdepth.odometry.sweeps import FINE_SAMPLING, DeskewedSweeps, SweepPart, ThinnedSweeps
 

@@ -14,8 +14,8 @@ from docdepth.errors import Finding, OdometryError
 from docdepth.geometry.se3 import inverse, se3_exp, se3_log
 from docdepth.odometry.clock import possible_times, time_gone, times_if_lost
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
-from docdepth.odometry.registration import FEWEST_POINTS, SEEN, UNKNOWN, Registration
-from docdepth.odometry.registration_log import Found, RegistrationLog
+from docdepth.odometry.registration import FEWEST_POINTS, SEEN, UNKNOWN, Found, Registration
+from docdepth.odometry.registration_log import RegistrationLog
 from docdepth.odometry.smoothing import State, filtered, first_state, stamp_error_of
 from docdepth.odometry.sweeps import SweepPart, deskewed_points
 
@@ -71,41 +71,30 @@ class LoggedRegistration:
         Other guesses are tried ``if_unfit``: if far fewer points find their surfaces than did in
         the sweeps before.
         """
-        found = self._align(index, deskewed, guesses, if_unfit)
+        found = self._log.found(index)
+        if found is None or (index >= self._read and found.usable):
+            points = deskewed()
+            usable = len(points) >= FEWEST_POINTS
+            if usable:
+                self._registration.take(points, guesses[0])
+            if found is None:
+                found = Found(guesses[0], UNKNOWN**2 * np.eye(6), False)
+                if usable:
+                    found = self._registered(guesses, if_unfit)
+                self._log.add(found)
         if found.usable:
             self._fitting.append(found.fitting)
         return found
 
-    def _align(
-        self,
-        index: int,
-        deskewed: Callable[[], NDArray[np.float32]],
-        guesses: Sequence[NDArray[np.float64]],
-        if_unfit: Sequence[NDArray[np.float64]],
+    def _registered(
+        self, guesses: Sequence[NDArray[np.float64]], if_unfit: Sequence[NDArray[np.float64]]
     ) -> Found:
-        guess = guesses[0]
-        found = self._log.found(index)
-        if found is not None and (index < self._read or not found.usable):
+        found = self._registration.align(*guesses)
+        usual = float(np.median(self._fitting)) if self._fitting else 0.0
+        if not if_unfit or found.fitting >= _UNFIT * usual:
             return found
-        points = deskewed()
-        usable = len(points) >= FEWEST_POINTS
-        if usable:
-            self._registration.take(points, guess)
-        if found is None:
-            unknown = UNKNOWN**2 * np.eye(6)
-            found = Found(guess, unknown, False)
-            if usable:
-                found = self._aligned(guesses)
-                usual = float(np.median(self._fitting)) if self._fitting else 0.0
-                if if_unfit and found.fitting < _UNFIT * usual:
-                    other = self._aligned(if_unfit)
-                    found = other if found.fitting < _UNFIT * other.fitting else found
-            self._log.add(found)
-        return found
-
-    def _aligned(self, guesses: Sequence[NDArray[np.float64]]) -> Found:
-        pose, covariance, fitting = self._registration.align(*guesses)
-        return Found(pose, covariance, True, fitting)
+        other = self._registration.align(*if_unfit)
+        return other if found.fitting < _UNFIT * other.fitting else found
 
     def insert(self, index: int, pose: NDArray[np.float64]) -> None:
         """Add a sweep to the map, where the map shows it still."""

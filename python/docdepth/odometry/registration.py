@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,6 +163,26 @@ FEWEST_POINTS = 50
 UNKNOWN = 1e2  # metres and radians; standard deviation of a pose that was not measured
 
 
+class Found(NamedTuple):
+    """What registration found of a sweep.
+
+    Attributes
+    ----------
+    pose : ndarray of float64, shape (4, 4)
+    covariance : ndarray of float64, shape (6, 6)
+        Of its rotation [rad^2] and its position [m^2], about the axes of the world.
+    usable : bool
+        It has points enough. Otherwise its pose is the predicted one, and the map does not get it.
+    fitting : float
+        Share of its points that find their surfaces in the map.
+    """
+
+    pose: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    usable: bool
+    fitting: float = 1.0
+
+
 class Registration:
     """A map of voxels, each a normal distribution, on which sweeps are registered (VGICP).
 
@@ -205,32 +226,23 @@ class Registration:
         kept = np.concatenate([rising, road]) if len(road) else rising
         self._cloud = _core.OrientedPoints(kept.astype(np.float32), self._neighbors, self._threads)
 
-    def align(
-        self, *guesses: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    def align(self, *guesses: NDArray[np.float64]) -> Found:
         """Register the sweep that was taken, from initial guesses (4, 4).
 
         The one from which most points find their surfaces is right, as a rule: from a guess that is
         metres off, a fifth of them do not.
-
-        Returns
-        -------
-        pose : ndarray of float64, shape (4, 4)
-        covariance : ndarray of float64, shape (6, 6)
-            Of its rotation [rad^2] and its position [m^2], about the axes of the world.
-        fitting : float
-            Share of its points that find their surfaces.
         """
         if self._empty:
-            return guesses[0].copy(), np.zeros((6, 6)), 1.0  # it is the frame of all poses
+            return Found(guesses[0].copy(), np.zeros((6, 6)), True)  # it is the frame of all poses
         assert self._cloud is not None
         found = [self._map.align(self._cloud, guess, self._threads) for guess in guesses]
         pose, hessian, inliers = max(found, key=lambda one: int(one[2]))
         # With too few inliers the guess stays.
         if inliers < FEWEST_POINTS or not np.isfinite(pose).all():
-            return guesses[0].copy(), UNKNOWN**2 * np.eye(6), 0.0
+            return Found(guesses[0].copy(), UNKNOWN**2 * np.eye(6), True, 0.0)
         covariance = np.linalg.inv(hessian + UNKNOWN**-2 * np.eye(6))
-        return nearest_rigid(pose), covariance, int(inliers) / len(self._cloud.normals)
+        fitting = int(inliers) / len(self._cloud.normals)
+        return Found(nearest_rigid(pose), covariance, True, fitting)
 
     def insert(self, pose: NDArray[np.float64]) -> None:
         """Add the sweep that was taken to the map."""

@@ -11,13 +11,14 @@ import logging
 import os
 import zlib
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import RunError
-from docdepth.io.opened import read_file
+from docdepth.io.untrusted import read_file
+from docdepth.odometry.registration import Found
 
 log = logging.getLogger(__name__)
 
@@ -34,26 +35,6 @@ _ROW = np.dtype(
     ]
 )  # fmt: skip
 _SUMMED = _ROW.itemsize - 4  # bytes of a row before its checksum
-
-
-class Found(NamedTuple):
-    """What registration found of a sweep.
-
-    Attributes
-    ----------
-    pose : ndarray of float64, shape (4, 4)
-    covariance : ndarray of float64, shape (6, 6)
-        Of its rotation [rad^2] and its position [m^2], about the axes of the world.
-    usable : bool
-        It has points enough. Otherwise its pose is the predicted one, and the map does not get it.
-    fitting : float
-        Share of its points that find their surfaces in the map.
-    """
-
-    pose: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    usable: bool
-    fitting: float = 1.0
 
 
 class RegistrationLog:

@@ -9,7 +9,7 @@ their rows allow.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -19,7 +19,9 @@ import docdepth._core as _core
 from docdepth.config import OdometryParameters
 from docdepth.datasets.base import Dataset, Sweep
 from docdepth.datasets.files import readable
+from docdepth.datasets.point_times import SHARE_BEFORE, Instant
 from docdepth.datasets.views import FrameRange, TurningLidar, View
+from docdepth.errors import Finding, OdometryError
 from docdepth.geometry.turn import Turn, possible_turns
 from docdepth.odometry.deskewing import centred_motion
 from docdepth.odometry.first_motion import first_motion
@@ -111,6 +113,53 @@ def find_skew(recording: Dataset, parameters: OdometryParameters | None = None) 
     if len(sharper) == 1:
         state = "measured" if sharper.pop() else "compensated"
     return Skew(state, turn, _mean(measured), _mean(compensated))
+
+
+def find_rotation(
+    recording: Dataset, stamp: Instant | None = None
+) -> tuple[Turn | None, list[Finding]]:
+    """How the LiDAR turns, if its sweeps are as measured, and what tells it.
+
+    Parameters
+    ----------
+    recording : Dataset
+        Its z is up. One that is said to be motion compensated is doubted.
+    stamp : {"start", "middle", "end"}, optional
+        Which instant of a sweep its time is. If it is not known the middle, which is least wrong.
+
+    Returns
+    -------
+    turn : Turn or None
+        None if the sweeps are not, or cannot be told to be, as measured.
+    found : list of Finding
+        Empty of a LiDAR that does not spin, or hardly moves.
+    """
+    said = recording.sweep(0).motion_compensated
+    try:
+        skew = find_skew(recording)
+    except OdometryError:  # which tells nothing of the times
+        return None, []
+    if skew is None:
+        return None, []
+    turn = replace(skew.turn, before_stamp=SHARE_BEFORE[stamp or "middle"])
+    where, figures = str(recording.path), skew.figures()
+    if skew.state == "measured" and said:
+        text = f"docdepth.yaml says motion_compensated: true, but {figures}: they are as measured"
+        remedy = "say motion_compensated: false"
+        return turn, [Finding("not-compensated", where, text, remedy)]
+    if skew.state == "measured":
+        text = f"points have no times, and sweeps are as measured: {figures}; these times are taken"
+        remedy = "if they are deskewed already, say motion_compensated: true in docdepth.yaml"
+        return turn, [Finding("times-by-rotation", where, text, remedy)]
+    if said:
+        return None, []
+    if skew.state == "compensated":
+        text = f"points have no times, and sweeps are taken as motion compensated: {figures}"
+        remedy = "say motion_compensated: true in docdepth.yaml"
+        return None, [Finding("taken-as-compensated", where, text, remedy)]
+    text = f"points have no times, and it is not clear whether sweeps are as measured: {figures}"
+    remedy = "say motion_compensated in docdepth.yaml, and bring times of points if you can"
+    return None, [Finding("skew-unknown", where, text, remedy)]
 
 
 def _mean(pieces: Sequence[Sharpness]) -> Sharpness:

@@ -21,8 +21,8 @@ from docdepth.geometry.se3 import inverse, poses_from, quaternion_to_matrix, rot
 from docdepth.io.depth import DESCRIPTION
 from docdepth.io.inputs import Point, RunInputs
 from docdepth.io.manifest import CameraEntry, StoredCameraFit, VirtualCamera
-from docdepth.io.opened import read_text
 from docdepth.io.run_folder import RunFolder
+from docdepth.io.untrusted import read_text
 from docdepth.pipeline.execution import check_image_size
 
 ALL, NO_CAMERA = "all", "none"

@@ -17,7 +17,7 @@ from docdepth._core import __version__
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.datasets.files import suggest_skipping
-from docdepth.errors import DatasetError
+from docdepth.errors import DatasetError, Finding
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
@@ -29,6 +29,8 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import KITTI_TRACKS, write_kitti_tracking
 from docdepth.render.depth_map import NEAR
 from docdepth.visualization.pictures import overlay
+
+_LEAST_DENSITY = 0.05  # mean share of pixels with depth: 0.5 to 0.8
 
 
 @dataclass(frozen=True)
@@ -225,3 +227,15 @@ def encode_image(image: NDArray[np.uint8], suffix: str) -> bytes:
     """The content of a JPEG or PNG file with this image."""
     _, encoded = cv2.imencode(suffix, image, [cv2.IMWRITE_JPEG_QUALITY, 90])
     return encoded.tobytes()
+
+
+def find_empty_maps(coverage: Sequence[float], camera: str) -> list[Finding]:
+    """Whether the depth maps of a camera are all but empty; ``coverage`` is a share of each map."""
+    if not len(coverage) or np.mean(coverage) >= _LEAST_DENSITY:
+        return []
+    text = (
+        f"only {100 * np.mean(coverage):.1f} % of the pixels of {camera} have depth: the "
+        "extrinsics or the intrinsics may be wrong, the image times may not fit, or the camera may "
+        "look where the LiDAR does not"
+    )
+    return [Finding("empty-maps", "", text)]

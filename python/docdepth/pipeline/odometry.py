@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import shutil
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +67,9 @@ def run_odometry(
             return
         with stage.working() as profile:
             checkpoint = run.state_dir / _CHECKPOINTS / stage.key
-            _remove_old_checkpoints(checkpoint)
+            for folder in checkpoint.parent.glob("*"):
+                if folder != checkpoint:  # of other parameters
+                    shutil.rmtree(folder, ignore_errors=True)
             with profile.timer("poses"):
                 odometry = register_drive(
                     dataset,
@@ -99,13 +100,6 @@ def run_odometry(
 _CHECKPOINTS = "odometry"
 """Folder in the state of a run with what each pass found. An interrupted stage goes on from there,
 and frames are made again, bit for bit."""
-
-
-def _remove_old_checkpoints(checkpoint: Path) -> None:
-    """Delete those of other parameters."""
-    for folder in checkpoint.parent.glob("*"):
-        if folder != checkpoint:
-            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _write_frames(

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import CameraStream, Dataset, Sweep
 from docdepth.datasets.files import ImageSource, file_of
 from docdepth.errors import DatasetError, RunError
-from docdepth.io.opened import open_file
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.tracks import TRACKS
+from docdepth.io.untrusted import open_file
 from docdepth.pipeline.cameras import RunCamera, run_cameras
 from docdepth.pipeline.depth_files import DepthFiles
 from docdepth.pipeline.label_folder import LabelFolder
@@ -49,19 +49,15 @@ class InputFiles:
     def sweeps(self, recording: Dataset) -> str:
         """Hash of the identity of all files that sweeps are read from."""
         files = (file for index in range(len(recording)) for file in recording.sweep_files(index))
-        return self._identify("sweeps", files, recording.path)
+        return self.identify("sweeps", files, recording.path)
 
     def images(self, stream: CameraStream) -> list[str]:
         """The identity of each image of a camera; empty strings where there are none."""
         if not stream.images:
             return [""] * len(stream.names)
         name = f"images of {stream.name}"
-        self._identify(name, stream.images, stream.images[0].parent)
+        self.identify(name, stream.images, stream.images[0].parent)
         return [stage_key(self._identity(known)) for known in self._now[name].values()]
-
-    def labels(self, files: Iterable[Path], folder: Path) -> str:
-        """Hash of the identity of files of given labels."""
-        return self._identify("labels", files, folder)
 
     def changed(self, what: str) -> list[str]:
         """Names of ``sweeps`` or ``labels`` that differ from those that were saved."""
@@ -83,7 +79,8 @@ class InputFiles:
         if now != before:
             self._run.write_notes(_NOTES, now)
 
-    def _identify(self, what: str, files: Iterable[ImageSource], root: Path) -> str:
+    def identify(self, what: str, files: Iterable[ImageSource], root: Path) -> str:
+        """Hash of the identity of all these files, named from ``root``."""
         before: _Known = self._before.get(what, {})
         now: _Known = {}
         hashes: dict[Path, str] = {}  # a bag holds many sweeps and images
@@ -211,7 +208,7 @@ def classify_stage(run: RunFolder, odometry: Stage | None = None) -> Stage:
         inputs["labels"] = run.stage_inputs("classify").get("labels")
         if labels.is_dir():  # else on a disk that is away
             given = LabelFolder(labels)
-            inputs["labels"] = input_files.labels(given.files(), given.folder)
+            inputs["labels"] = input_files.identify("labels", given.files(), given.folder)
         has_tracks = TRACKS in run.records(run.path)
     label_files = _label_files(run)
     count = len(run.trajectory()) if odometry is None else len(odometry.frames)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from docdepth.concurrency import Progress, Timer, null_progress
 from docdepth.datasets.base import CameraStream
 from docdepth.diagnostics.calibration import edges_of_images, judge
-from docdepth.diagnostics.results import check_density
 from docdepth.errors import DatasetError
 from docdepth.geometry.camera import View
 from docdepth.geometry.track import Tracks
@@ -25,7 +24,7 @@ from docdepth.io.depth import check_format
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.cameras import RunCamera, add_cameras, camera_parameters
-from docdepth.pipeline.depth_files import DepthFiles
+from docdepth.pipeline.depth_files import DepthFiles, find_empty_maps
 from docdepth.pipeline.parallel import ChunkContext, WorkerPool
 from docdepth.pipeline.plan import render_stage, require
 from docdepth.pipeline.run_inputs import cameras_at_hand
@@ -288,7 +287,7 @@ def _render_cameras(
         for files, profile in zip(plan.files, profiles, strict=True):
             files.describe()
             profile.more["density"] = float(np.mean(files.shares()))
-            profile.add(check_density(files.shares(), files.stream.name))
+            profile.add(find_empty_maps(files.shares(), files.stream.name))
             profile.more["calibration"] = None
             # Splats reach over edges.
             if files.stream.images and files.parameters.render.primitive != "splats":

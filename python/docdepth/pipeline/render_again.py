@@ -19,7 +19,7 @@ from docdepth.pipeline.cameras import (
     remove_undrawn_cameras,
     run_cameras,
 )
-from docdepth.pipeline.given_labels import open_labels, take_labels
+from docdepth.pipeline.classify import open_labels, take_labels
 from docdepth.pipeline.plan import require
 from docdepth.pipeline.render import run_render
 from docdepth.pipeline.run_inputs import check_place, recording_of

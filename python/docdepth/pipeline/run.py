@@ -29,14 +29,13 @@ from docdepth.pipeline.cameras import (
     run_cameras,
 )
 from docdepth.pipeline.check import check_inputs, check_opened, misfit_of_poses
-from docdepth.pipeline.classify import run_classify
+from docdepth.pipeline.classify import open_labels, run_classify
 from docdepth.pipeline.execution import (
     Execution,
     keep_budget,
     parameters_within_budget,
     within_memory,
 )
-from docdepth.pipeline.given_labels import open_labels
 from docdepth.pipeline.odometry import run_odometry
 from docdepth.pipeline.plan import InputFiles, plan
 from docdepth.pipeline.render import run_render

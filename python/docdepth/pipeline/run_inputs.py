@@ -22,15 +22,15 @@ from docdepth.datasets.files import first_readable, read_image_of
 from docdepth.datasets.formats.docdepth_run import RunDataset
 from docdepth.datasets.point_times import Instant
 from docdepth.datasets.sensor_pose import LEVEL_DEG, LevelledRecording, ground_of
-from docdepth.datasets.views import TurningLidar, WithoutEgo
+from docdepth.datasets.views import TurningLidar, WithoutEgo, lacks_times
 from docdepth.diagnostics.own_vehicle import find_own_vehicle
-from docdepth.diagnostics.rotation import find_rotation, lacks_times
 from docdepth.diagnostics.sweeps import find_sensor_origin
 from docdepth.errors import CalibrationError, Finding, RunError, log_findings
 from docdepth.geometry.turn import Turn
 from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.inputs import Box, DerivedInputs, Point, RunInputs, SkippedFrames
 from docdepth.io.run_folder import RunFolder
+from docdepth.odometry.skew import find_rotation
 from docdepth.pipeline.broken_frames import find_broken
 from docdepth.pipeline.cameras import as_recorded, fitted, open_cameras, parse_size, run_cameras
 from docdepth.pipeline.given_poses import read_given_poses
@@ -140,7 +140,7 @@ def _find_skipped(
     inputs: RunInputs, whole: Dataset, begun: DerivedInputs | None
 ) -> SkippedFrames | None:
     """Which frames of the whole recording are broken, if the run leaves them out."""
-    if not inputs.skips_broken:
+    if inputs.on_error != "skip":
         return None
     recording = _part(whole, inputs, DerivedInputs())
     streams = open_cameras(inputs, recording, inputs.camera) if whole.cameras else []

@@ -25,9 +25,9 @@ from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import described_maps, maps_in, read_depth
-from docdepth.io.npy import ArrayError, read_arrays
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
+from docdepth.io.untrusted import ArrayError, read_arrays
 from docdepth.pipeline.cameras import camera_parameters, run_cameras
 from docdepth.pipeline.cloud_map import VOXEL, CloudMap, gather_map
 from docdepth.pipeline.run_inputs import recording_of

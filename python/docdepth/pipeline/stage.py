@@ -151,10 +151,6 @@ class Stage:
         """Whether the files of the stage as a whole are whole and up to date."""
         return all(self._agrees(self.run.key(file)) for file in self.once)
 
-    def is_done(self) -> bool:
-        """Whether there is nothing to do."""
-        return self.is_made_once() and not self.left()
-
     def remove_outdated(self) -> None:
         """Delete files that were made of something else, and of frames that are no more."""
         for folder in self.folders:

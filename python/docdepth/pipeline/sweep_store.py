@@ -14,8 +14,7 @@ import numpy as np
 
 import docdepth._core as _core
 from docdepth.concurrency import Timer
-from docdepth.diagnostics.results import count_classes
-from docdepth.dynamics.classes import Labels
+from docdepth.dynamics.classes import Labels, count_classes
 from docdepth.dynamics.sweep_classifier import Evidence
 from docdepth.dynamics.tracking import TrackedSweep
 from docdepth.dynamics.voting import Votes
@@ -24,8 +23,8 @@ from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.track import Track
 from docdepth.io.frames import write_classes
 from docdepth.io.labels import write_labels
-from docdepth.io.npy import read_kept_arrays
 from docdepth.io.run_folder import RunFolder
+from docdepth.io.untrusted import read_kept_arrays
 
 EVIDENCE, GROUND, TRACKING = "evidence", "ground", "tracks"
 """Folders in the state of a run with a file for each sweep: an interrupted stage goes on with them.
@@ -157,7 +156,7 @@ class FrameStore:
     tracks : TrackStore
     counts : ndarray of int64, shape (3,)
         Points of the sweeps that were written, from
-        :func:`docdepth.diagnostics.results.count_classes`.
+        :func:`docdepth.dynamics.classes.count_classes`.
     """
 
     def __init__(

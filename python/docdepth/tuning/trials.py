@@ -16,8 +16,8 @@ from docdepth.config import Parameters, Preset, Settings, parameters, replaced
 from docdepth.errors import ConfigError, DatasetError
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.evaluation.runs import evaluate_depth, evaluate_labels
-from docdepth.io.opened import read_text
 from docdepth.io.run_folder import RunFolder
+from docdepth.io.untrusted import read_text
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,9 @@ from docdepth.concurrency import Progress, null_progress
 from docdepth.config import Parameters
 from docdepth.errors import ConfigError, RunError
 from docdepth.io.atomic import write_atomically
-from docdepth.io.opened import read_text
 from docdepth.io.recorded_folder import STATE_DIR
 from docdepth.io.run_folder import RunFolder, stage_key
+from docdepth.io.untrusted import read_text
 from docdepth.pipeline.cameras import add_cameras, run_cameras
 from docdepth.pipeline.classify import run_classify
 from docdepth.pipeline.odometry import run_odometry

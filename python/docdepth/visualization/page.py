@@ -14,7 +14,7 @@ import numpy as np
 
 from docdepth.errors import DatasetError
 from docdepth.io.atomic import move_aside, write_atomically
-from docdepth.io.opened import read_file
+from docdepth.io.untrusted import read_file
 from docdepth.visualization.pictures import Picture
 
 _MARKS = "<!-- docdepth page -->", "<!-- docdepth inspect -->"  # today's, and that of earlier pages

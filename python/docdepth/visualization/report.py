@@ -18,9 +18,9 @@ from docdepth.datasets.base import CameraStream
 from docdepth.errors import RunError
 from docdepth.geometry.track import KINDS, Track
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.opened import read_text
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
+from docdepth.io.untrusted import read_text
 from docdepth.visualization import drive_map
 from docdepth.visualization.image_views import CONFIDENCE_COLORS, DOUBTFUL, SEEN_COLORS
 from docdepth.visualization.page import FLIP_STYLE, flip_book, head, scale, scripts, swatches, table

@@ -16,8 +16,8 @@ from docdepth.geometry.camera import below_horizon
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track
 from docdepth.io.depth import described_maps, maps_in, read_depth
-from docdepth.io.npy import ArrayError, read_arrays
 from docdepth.io.run_folder import RunFolder
+from docdepth.io.untrusted import ArrayError, read_arrays
 from docdepth.visualization.image_views import draw_tracks, photo_of, view_of_layer, view_of_points
 from docdepth.visualization.page import Leaf, embedded
 from docdepth.visualization.pictures import Picture, colorize

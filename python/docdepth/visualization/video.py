@@ -18,6 +18,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import DESCRIPTION, described_maps, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
+from docdepth.io.untrusted import read_file
 from docdepth.visualization.image_views import box_corners, photo_of, track_color, write_text
 from docdepth.visualization.pictures import BACKGROUND, Picture, colorize, draw_classes
 
@@ -182,7 +183,7 @@ def _write(
                 f"cannot write {path}: OpenCV stopped early; make room on the disk and try again"
             )
         with run.lock("video"):
-            run.move_into_place(part, path, key)
+            run.write(path, lambda stream: stream.write(read_file(part)), key)
     finally:
         part.unlink(missing_ok=True)
         os.close(opened)

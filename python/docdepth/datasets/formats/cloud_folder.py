@@ -29,7 +29,7 @@ from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import Numbers, Strict, read_settings, transform
 from docdepth.datasets.times import times_of_files
 from docdepth.datasets.yaml_cameras import CameraRecordingSettings, yaml_cameras
-from docdepth.errors import Collector, DatasetError
+from docdepth.errors import Collector, DatasetError, raise_together
 from docdepth.geometry.points import MOVING_LABEL, STATIC_LABEL
 from docdepth.io.pcd import PcdError, read_pcd_header
 
@@ -122,7 +122,7 @@ class CloudFolder(Recording):
             cameras, uncalibrated = yaml_cameras(path, settings, lidars[0].stream, image_size)
         with problems.collected():
             poses = _poses(settings, lidars[0])
-        problems.raise_errors()
+        raise_together(problems.errors)
         labels, world = path / settings.labels, settings.frame == "world"
         if "labels" in settings.model_fields_set and not labels.is_dir():
             raise DatasetError(f"{file}: there is no folder {labels} of labels")

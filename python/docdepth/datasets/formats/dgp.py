@@ -22,7 +22,7 @@ from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse
-from docdepth.io.npy import ArrayError, read_arrays
+from docdepth.io.untrusted import ArrayError, read_arrays
 
 _COPY = "copy the scene again"
 _MICROSECOND = 1000  # ns

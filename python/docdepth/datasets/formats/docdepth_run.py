@@ -15,9 +15,8 @@ from docdepth.errors import DamagedFileError
 from docdepth.geometry.points import DYNAMIC, MOVING_LABEL, STATIC_LABEL
 from docdepth.io.depth import DESCRIPTION
 from docdepth.io.frames import read_frame_name, read_trajectory
-from docdepth.io.opened import read_file
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.yaml_json import parse_json
+from docdepth.io.untrusted import parse_json, read_file
 
 
 class RunDataset(DatasetRepr):

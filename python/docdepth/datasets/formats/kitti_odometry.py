@@ -21,7 +21,7 @@ from docdepth.errors import CalibrationError, Collector, DatasetError, raise_tog
 from docdepth.geometry.camera import camera_of
 from docdepth.geometry.se3 import inverse
 from docdepth.io.poses import read_kitti
-from docdepth.io.yaml_json import parse_yaml
+from docdepth.io.untrusted import parse_yaml
 
 
 class KittiSettings(RecordingSettings):
@@ -263,7 +263,7 @@ def read_cameras(
                 images=images[n],
                 distortion=_distortion(folder / "distortion.txt"),
             )
-    problems.raise_errors()
+    raise_together(problems.errors)
     if guessed:
         log.warning(
             "%s: image sizes guessed from the principal points (%s); "

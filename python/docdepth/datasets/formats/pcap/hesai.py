@@ -17,7 +17,7 @@ from docdepth.datasets.formats.pcap.packet_capture import PacketCapture, Packets
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.errors import DatasetError
-from docdepth.io.opened import open_file
+from docdepth.io.untrusted import open_file
 
 LASERS = 32
 DESIGNED = np.stack([15.0 - np.arange(LASERS), np.zeros(LASERS)], axis=1)

@@ -18,7 +18,7 @@ from docdepth.datasets.kitti_files import check_increasing
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings
 from docdepth.errors import DatasetError
-from docdepth.io.opened import open_file
+from docdepth.io.untrusted import open_file
 
 log = logging.getLogger(__name__)
 

@@ -1,22 +1,115 @@
-"""Arrays in files of numpy, NPY and NPZ, that others may have written or damaged."""
+"""Files that others have written or damaged: regular files alone, and what text and arrays hold.
+
+A pipe would be waited for without end, and a device read without end. Memory is taken for what a
+header tells only where the file is large enough.
+"""
 
 from __future__ import annotations
 
+import errno
+import json
+import os
+import stat
 import zipfile
 from collections.abc import Collection
 from math import prod
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, BinaryIO
 
 import numpy as np
+import yaml
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from docdepth._text import UniqueLoader, explain_yaml
 from docdepth.errors import DamagedFileError
-from docdepth.io.opened import open_file
+
+_MOST_BITS = 1000  # of a whole number; Python does not even print one of 4300 digits
+_MOST_VALUES = 10_000_000
+"""Of a tree in which YAML's aliases stand for what they repeat: nine lines can be a milliard."""
 
 _LONGEST_HEADER = 10_000  # bytes
 _MOST_PACKED = 1100  # times as large as its compressed bytes; deflate packs 1032 into one
+
+
+def open_file(path: Path | str) -> BinaryIO:
+    """A regular file, opened to be read.
+
+    Raises
+    ------
+    OSError
+        As for ``open``; or it is a pipe, a device or a socket.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        mode = os.fstat(descriptor).st_mode
+        if stat.S_ISDIR(mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+        if not stat.S_ISREG(mode):
+            raise OSError(errno.EINVAL, "it is no regular file", str(path))
+        return os.fdopen(descriptor, "rb")
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+def read_file(path: Path | str) -> bytes:
+    """The content of a regular file."""
+    with open_file(path) as stream:
+        return stream.read()
+
+
+def read_text(path: Path | str, encoding: str = "utf-8") -> str:
+    """The content of a text file, its ends of lines as ``\\n``."""
+    return read_file(path).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
+
+
+def parse_yaml(text: str) -> Any:
+    """The tree of a YAML text, without objects of Python.
+
+    Raises
+    ------
+    ValueError
+        It is no YAML, a name stands twice, it is too deep, or its aliases repeat too much.
+    """
+    try:
+        tree = yaml.load(text, UniqueLoader)
+        if _count(tree, {}) > _MOST_VALUES:
+            raise ValueError(f"its aliases repeat more than {_MOST_VALUES} values")
+        return tree
+    except yaml.YAMLError as error:
+        raise ValueError(explain_yaml(error)) from None
+    except RecursionError:
+        raise ValueError("it is too deep") from None
+    except (LookupError, TypeError, AttributeError, ArithmeticError):
+        raise ValueError("a tag (!!) does not fit its value") from None
+
+
+def parse_json(text: str | bytes) -> Any:
+    """The tree of a JSON text.
+
+    Raises
+    ------
+    ValueError
+        It is no JSON, or too deep.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("it is too deep") from None
+
+
+def _count(tree: Any, known: dict[int, int]) -> int:
+    """Values of a tree, those of an alias as often as it stands."""
+    if isinstance(tree, int) and tree.bit_length() > _MOST_BITS:
+        raise ValueError("a whole number has more than 300 digits")
+    if not isinstance(tree, (dict, list)):
+        return 1
+    if id(tree) not in known:
+        known[id(tree)] = _MOST_VALUES  # what holds itself has no end
+        values = tree.values() if isinstance(tree, dict) else tree
+        known[id(tree)] = 1 + sum(_count(value, known) for value in values)
+    return known[id(tree)]
 
 
 class ArrayError(ValueError):
