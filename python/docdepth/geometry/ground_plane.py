@@ -127,10 +127,10 @@ def _candidates(cloud: NDArray[np.float64]) -> list[GroundPlane]:
     normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1)
     normals, a = normals[lengths > 1e-6] / lengths[lengths > 1e-6, None], a[lengths > 1e-6]
-    ups, heights = _facing_points(few, normals, -(normals * a).sum(axis=1))
-    rough = _distinct(_scores(few, ups, heights), ups, heights, _REFINED)
-    ups, heights = _facing_points(cloud, *_refined(cloud, ups[rough], heights[rough]))
-    scores, found = _scores(cloud, ups, heights), list[GroundPlane]()
+    ups, heights, scores = _facing_points(few, normals, -(normals * a).sum(axis=1))
+    rough = _distinct(scores, ups, heights, _REFINED)
+    ups, heights, scores = _facing_points(cloud, *_refined(cloud, ups[rough], heights[rough]))
+    found = list[GroundPlane]()
     for k in _distinct(scores, ups, heights, 1)[:_CANDIDATES]:
         on = np.abs(cloud @ ups[k] + heights[k]) < _NEAR_PLANE
         lengths = np.linalg.svd(cloud[on] - cloud[on].mean(axis=0), compute_uv=False)
@@ -171,12 +171,20 @@ def _thinned(points: NDArray[np.float32]) -> NDArray[np.float64]:
 
 def _facing_points(
     cloud: NDArray[np.float64], normals: NDArray[np.float64], heights: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Normals to the side on which most points are, and heights of the origin along them."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Normals to the side of most points, heights of the origin along them, and scores."""
     above = cloud @ normals.T + heights
-    more_above = (above > _NEAR_PLANE).sum(axis=0) >= (above < -_NEAR_PLANE).sum(axis=0)
-    signs = np.where(more_above, 1.0, -1.0)
-    return normals * signs[:, None], heights * signs
+    over, under = (above > _NEAR_PLANE).sum(axis=0), (above < -_NEAR_PLANE).sum(axis=0)
+    beyond, below = (above > _BELOW).sum(axis=0), (above < -_BELOW).sum(axis=0)
+    on = (np.abs(above) < _NEAR_PLANE).sum(axis=0)
+    faces = over >= under
+    signs = np.where(faces, 1.0, -1.0)
+    ups, heights = normals * signs[:, None], heights * signs
+    level = np.clip((ups[:, 2] - _LEANING[1]) / (_LEANING[0] - _LEANING[1]), 0, 1)
+    weight = (_TURNED + (1 - _TURNED) * level) * np.where(heights > _MOUNTED, _HIGH, 1.0)
+    scores = (on / len(cloud) - np.where(faces, below, beyond) / len(cloud)) * weight
+    impossible = (heights < _HEIGHTS[0]) | (heights > _HEIGHTS[1])
+    return ups, heights, np.where(impossible, -1.0, scores)
 
 
 def _refined(
@@ -193,19 +201,6 @@ def _refined(
             ups[k] = np.linalg.eigh((on - middle).T @ (on - middle))[1][:, 0]
             heights[k] = -middle @ ups[k]
     return ups, heights
-
-
-def _scores(
-    cloud: NDArray[np.float64], normals: NDArray[np.float64], heights: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    above = cloud @ normals.T + heights
-    on = (np.abs(above) < _NEAR_PLANE).mean(axis=0)
-    below = (above < -_BELOW).mean(axis=0)
-    level = np.clip((normals[:, 2] - _LEANING[1]) / (_LEANING[0] - _LEANING[1]), 0, 1)
-    weight = (_TURNED + (1 - _TURNED) * level) * np.where(heights > _MOUNTED, _HIGH, 1.0)
-    scores = (on - below) * weight
-    impossible = (heights < _HEIGHTS[0]) | (heights > _HEIGHTS[1])
-    return np.asarray(np.where(impossible, -1.0, scores))
 
 
 def level_turn(up: ArrayLike) -> NDArray[np.float64]:

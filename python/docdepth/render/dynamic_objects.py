@@ -166,7 +166,8 @@ def _inside_boxes(
         velocity = T_object_lidar[:3, :3] @ T_world_lidar[:3, :3].T @ track.velocity_at(time)
         reach = 0.5 * np.linalg.norm(track.size) + late * np.linalg.norm(velocity)
         middle = inverse(T_object_lidar)[:3, 3]
-        near = static[(np.abs(x - middle[0]) < reach) & (np.abs(y - middle[1]) < reach)]
+        low, high = (middle - reach).astype(np.float32), (middle + reach).astype(np.float32)
+        near = static[(x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1])]
         local = frame.points[near] @ T_object_lidar[:3, :3].T + T_object_lidar[:3, 3]
         if frame.time_offset is not None:
             local -= frame.time_offset[near, None] * velocity

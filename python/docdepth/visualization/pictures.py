@@ -114,7 +114,8 @@ def blended(
     Without an image the colours stand alone, on a dark ground.
     """
     if image is None:
-        return np.where(known[..., None], colors, np.uint8(BACKGROUND))
+        alone = np.full_like(colors, BACKGROUND)
+        return np.asarray(cv2.copyTo(colors, known.astype(np.uint8), alone), np.uint8)
     gray = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
     mixed = cv2.addWeighted(colors, opacity, gray, 1 - opacity, 0)
     darker = cv2.convertScaleAbs(gray, alpha=0.5)
