@@ -11,9 +11,9 @@
 #include <stdexcept>
 #include <vector>
 
+#include "docdepth/geometry/normal.hpp"
 #include "docdepth/geometry/parallel.hpp"
 #include "docdepth/ground/neighborhood.hpp"
-#include "docdepth/ground/normal.hpp"
 #include "docdepth/ground/octree.hpp"
 #include "docdepth/ground/voxel_map.hpp"
 

@@ -1,9 +1,9 @@
 #include "docdepth/odometry/oriented_points.hpp"
 
-#include <Eigen/Eigenvalues>
 #include <cstdint>
 
 #include "docdepth/geometry/neighborhoods.hpp"
+#include "docdepth/geometry/normal.hpp"
 
 namespace docdepth {
 namespace {
@@ -11,7 +11,7 @@ namespace {
 /// Fewer points form no plane.
 constexpr std::size_t kFewest = 5;
 
-/// Normal of the plane through some points.
+/// Normal of the plane through some points; zero if they lie on a line.
 Eigen::Vector3f normal_of(const std::vector<Eigen::Vector3f>& points,
                           const std::vector<std::uint32_t>& nearest) {
   // From one of the points: far from the origin, the squares would lose what tells the plane.
@@ -26,9 +26,8 @@ Eigen::Vector3f normal_of(const std::vector<Eigen::Vector3f>& points,
   const Eigen::Vector3d sum(x, y, z);
   Eigen::Matrix3d outer;
   outer << xx, xy, xz, xy, yy, yz, xz, yz, zz;
-  Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver;
-  solver.computeDirect(outer - sum * sum.transpose() / static_cast<double>(nearest.size()));
-  return solver.eigenvectors().col(0).cast<float>();
+  const auto count = static_cast<double>(nearest.size());
+  return smallest_eigenvector(outer - sum * sum.transpose() / count).cast<float>();
 }
 
 }  // namespace

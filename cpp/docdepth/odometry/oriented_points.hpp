@@ -8,7 +8,8 @@
 
 namespace docdepth {
 
-/// Points of a sweep and their normals, of length 1; zero where there are too few points.
+/// Points of a sweep and their normals, of length 1; zero where there are too few points, or on a
+/// line.
 struct OrientedPoints {
   std::vector<Eigen::Vector3f> points, normals;
 };

@@ -5,8 +5,8 @@
 #include <random>
 #include <vector>
 
+#include "docdepth/geometry/normal.hpp"
 #include "docdepth/ground/ground.hpp"
-#include "docdepth/ground/normal.hpp"
 #include "docdepth/ground/voxel_map.hpp"
 
 using namespace docdepth;
