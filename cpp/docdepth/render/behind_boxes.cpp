@@ -15,9 +15,9 @@ using Vector = Eigen::Vector3f;
 
 /// An object may reach this far beyond the box of its track [m]: what was seen of it is not all.
 constexpr float kBoxMargin = 0.05f;
-/// So many pixels to each side share one way through the box, and if they are at the same depth
-/// what rays say of the place behind it: rays are farther apart than pixels.
-constexpr int kWayCell = 2;
+/// Pixels of a cell share one way through the box, and if they are at the same depth what rays say
+/// of the place behind it. A cell is as wide as rays are apart, but within these bounds [pixel].
+constexpr float kLeastCell = 2, kMostCell = 4;
 /// The way through the box is looked at in so many places at most.
 constexpr int kMostPlaces = 8;
 /// Rays beyond kShutter count, too, while the object goes no farther than this [m].
@@ -83,28 +83,34 @@ class SeenBox {
   Vector start_;
 };
 
-/// Pixels of a box that show the static world, kWayCell by kWayCell at a time.
+int cell_of(const Camera& camera, const std::vector<SweepRays>& rays) {
+  float spacing = std::numeric_limits<float>::infinity();
+  for (const SweepRays& placed : rays) spacing = std::min(spacing, placed.rays->cells().spacing());
+  return int(std::clamp(std::round(spacing * float(camera.fx)), kLeastCell, kMostCell));
+}
+
+/// Pixels of a box that show the static world, a cell at a time.
 class BoxBackground {
  public:
-  BoxBackground(const Camera& camera, const SeenBox& box, const ShutterRays& rays)
-      : camera_(camera), box_(box), rays_(rays) {}
+  BoxBackground(const Camera& camera, const SeenBox& box, const ShutterRays& rays, int cell)
+      : camera_(camera), box_(box), rays_(rays), cell_(cell) {}
 
   /// @param is_world  1 for pixels behind a box before this one at which rays ended on the world
   void empty(int from_u, int from_v, const std::vector<std::uint16_t>& shown_objects,
              std::vector<std::uint8_t>& is_world, std::vector<float>& depth) const {
     const PixelBounds& bounds = box_.bounds();
-    constexpr float kMiddle = float(kWayCell - 1) / 2;
+    const float middle = float(cell_ - 1) / 2;
     std::optional<bool> is_empty;  // along the way of the middle
     CachedAnswer cached;
-    for (int v = from_v; v < std::min(from_v + kWayCell, bounds.end_v); ++v)
-      for (int u = from_u; u < std::min(from_u + kWayCell, bounds.end_u); ++u) {
+    for (int v = from_v; v < std::min(from_v + cell_, bounds.end_v); ++v)
+      for (int u = from_u; u < std::min(from_u + cell_, bounds.end_u); ++u) {
         const std::size_t i = std::size_t(v) * camera_.width + u;
         if (!(depth[i] > 0) || (!shown_objects.empty() && shown_objects[i] != 0)) continue;
         const Vector ray = ray_of(camera_, float(u), float(v));
         if (!box_.inside(ray).ends_before(depth[i])) continue;
         if (!is_empty)
           is_empty = box_.is_empty_along(
-              ray_of(camera_, float(from_u) + kMiddle, float(from_v) + kMiddle), rays_);
+              ray_of(camera_, float(from_u) + middle, float(from_v) + middle), rays_);
         is_world[i] = *is_empty && (is_world[i] || ended(ray, depth[i], cached));
         if (!is_world[i]) depth[i] = std::numeric_limits<float>::quiet_NaN();
       }
@@ -129,6 +135,7 @@ class BoxBackground {
   const Camera& camera_;
   const SeenBox& box_;
   const ShutterRays& rays_;
+  int cell_;
 };
 
 }  // namespace
@@ -138,17 +145,18 @@ void mask_unobserved_background(const Camera& camera, const MeshScene& scene,
                                 std::vector<float>& depth, int threads) {
   if (scene.boxes.empty()) return;
   const ShutterRays rays(scene.shutter_rays);
+  const int cell = cell_of(camera, scene.shutter_rays);
   std::vector<std::uint8_t> is_world(depth.size(), 0);
   for (const ObjectBox& placed : scene.boxes) {
     const SeenBox box(camera, placed);
     const PixelBounds& bounds = box.bounds();
     if (bounds.empty()) continue;
-    const BoxBackground pixels(camera, box, rays);
-    const auto rows = std::size_t(bounds.end_v - bounds.begin_v + kWayCell - 1) / kWayCell;
+    const BoxBackground pixels(camera, box, rays, cell);
+    const auto rows = std::size_t(bounds.end_v - bounds.begin_v + cell - 1) / cell;
     parallel_for(rows, 4, threads, [&](std::size_t begin, std::size_t end) {
       for (int row = int(begin); row < int(end); ++row)
-        for (int u = bounds.begin_u; u < bounds.end_u; u += kWayCell)
-          pixels.empty(u, bounds.begin_v + row * kWayCell, shown_objects, is_world, depth);
+        for (int u = bounds.begin_u; u < bounds.end_u; u += cell)
+          pixels.empty(u, bounds.begin_v + row * cell, shown_objects, is_world, depth);
     });
   }
 }
