@@ -129,6 +129,8 @@ def read_yaml(text: str) -> Any:
         return yaml.load(text, _Settings)
     except RecursionError:
         raise yaml.YAMLError("it is too deep") from None
+    except (LookupError, TypeError, AttributeError, ArithmeticError):
+        raise yaml.YAMLError("a tag (!!) does not fit its value") from None
 
 
 def parse_settings(assignments: list[str], option: str = "--set") -> dict[str, object]:

@@ -277,6 +277,13 @@ OPTIONS = [
     ("output below a file", ["run", "d", "-o", "d/calib.txt/n"], None, DocDepthError, "calib.txt"),
     ("output: a link loop", ["run", "d", "-o", "l"], link("l", "l"), DocDepthError, "l"),
     ("output: read-only", ["run", "d", "-o", "/proc/run"], None, DocDepthError, "/proc/run"),
+    ("config: a tag", ["run", "d", "-o", "n", "--config", "c.yaml"],
+     write("c.yaml", b"odometry: {max_range: !!float ''}"), ConfigError, "c.yaml tag"),
+    ("P2 of 1e308", ["run", "d", "-o", "n"],
+     text("d/calib.txt", lambda t: t.replace("60 0 48", "1e308 0 48")), DocDepthError,
+     "calib.txt focal pixels"),
+    ("poses beyond the Earth", ["run", "d", "-o", "n", "--poses", "p.txt"],
+     write("p.txt", b"1 0 0 1e8 0 1 0 0 0 0 1 0\n" * 4), DocDepthError, "p.txt km origin metres"),
     ("not this stage's", ["render", "r", "--set", "odometry.min_range=1"], None, DocDepthError,
      "odometry.min_range render"),
 ]  # fmt: skip

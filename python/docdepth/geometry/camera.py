@@ -15,6 +15,9 @@ from docdepth.geometry.points import ShortRepr, float_array
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
 
+_FOCAL = 1e-6, 1e6
+"""Between which focal lengths lie [pixel]."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Camera(ShortRepr):
@@ -54,6 +57,11 @@ class Camera(ShortRepr):
             ) from None
         if K.shape != (3, 3) or not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
             raise CalibrationError(f"K must be a 3x3 pinhole matrix, got {K.tolist()}")
+        if not (_FOCAL[0] < K[[0, 1], [0, 1]]).all() or not (K[[0, 1], [0, 1]] < _FOCAL[1]).all():
+            raise CalibrationError(
+                f"the focal lengths {K[0, 0]:g} and {K[1, 1]:g} are none in pixels, which lie "
+                f"between {_FOCAL[0]:g} and {_FOCAL[1]:g}"
+            )
         if K[0, 1] or K[1, 0] or (K[2] != (0, 0, 1)).any():
             raise CalibrationError(
                 f"K must be fx 0 cx / 0 fy cy / 0 0 1, got {K.tolist()}; rectify images with skew"

@@ -13,11 +13,14 @@ _ORTHOGONAL = 1e-3  # of R R^T - I; poses printed with a few digits pass
 _SERIES_ANGLE = 1e-6  # radians; below, the Jacobian's closed form loses digits and a series has all
 _SMALL_ANGLE = 1e-8  # radians; below, the rotation's linear terms are exact
 _NO_SINE = 1e-12  # of half an angle; below, the axis cannot be told and does not matter
+_FARTHEST = 1e8
+"""Of a pose from the origin [m]: beyond every coordinate of the Earth."""
+
 _SHORTEST_QUATERNION = 1e-6
 
 
 def check_rigid(poses: NDArray[np.float64]) -> None:
-    """Refuse poses that are not rotations and translations.
+    """Refuse poses that are not rotations and translations, or lie beyond the Earth.
 
     Raises
     ------
@@ -38,6 +41,12 @@ def check_rigid(poses: NDArray[np.float64]) -> None:
                 else ""
             )
             + "; poses are 4x4 matrices T_world_lidar with finite entries"
+        )
+    far = np.flatnonzero((np.abs(poses[:, :3, 3]) >= _FARTHEST).any(axis=1))
+    if len(far):
+        away = 1e-3 * np.abs(poses[far[0], :3, 3]).max()
+        raise InputError(
+            f"the pose of frame {far[0]} lies {away:,.0f} km from the origin; poses are in metres"
         )
 
 
