@@ -177,6 +177,10 @@ for _key, _heading in (
     LABEL_COLUMNS.append(Column(f"{_key}.da", f"{_heading}: DA %", 1))
     LABEL_COLUMNS.append(Column(f"{_key}.points", "of points", 0))
 DEPTH_COLUMNS = [
+    Column("abs_rel", "abs rel %", 2, -1),
+    Column("rmse", "RMSE m", 2, -1),
+    Column("delta1", "delta1 %", 2),
+    Column("density", "density %", 1),
     Column("density_on_surfaces", "density on surfaces %", 1),
     Column("all.mae", "MAE m", 3, -1),
     Column("all.edge_displacement", "edge displacement px", 2, -1),
