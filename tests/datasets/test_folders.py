@@ -488,6 +488,26 @@ def test_a_viewpoint_that_was_never_written_is_refused(tmp_path: Path) -> None:
         open_dataset(path)
 
 
+@pytest.mark.parametrize("written", ["lidar", "world"])
+@pytest.mark.parametrize("told", ["lidar", "world"])
+def test_points_of_another_frame_than_is_told(tmp_path: Path, written: str, told: str) -> None:
+    """PCL keeps points in the sensor's frame, DynamicMap_Benchmark in the world."""
+    (tmp_path / "pcd").mkdir()
+    for k in range(5):
+        rows, goes = folder_rows(k), np.array([4.0 * k, 1.0 * k, 0.5])
+        if written == "world":
+            for n, axis in enumerate("xyz"):
+                rows[axis] += goes[n]
+        viewpoint = [*goes, 1, 0, 0, 0]
+        write_pcd(tmp_path / "pcd" / f"{k:06d}.pcd", rows, viewpoint=viewpoint)
+    (tmp_path / "docdepth.yaml").write_text(f"frame: {told}\n")
+    if told == written:
+        open_dataset(tmp_path, "dynamic_map")
+        return
+    with pytest.raises(DatasetError, match=rf"not in the frame '{told}'.*say frame: {written}"):
+        open_dataset(tmp_path, "dynamic_map")
+
+
 def test_poses_in_headers_are_told_and_used_when_asked_for(tmp_path: Path, caplog) -> None:
     path = WRITERS["folder of binary pcd"][1](tmp_path).path
     for k in range(5):

@@ -38,6 +38,12 @@ log = logging.getLogger(__name__)
 VIEWPOINT = "viewpoint"
 """Entry ``poses`` that means the poses in the headers of PCD files."""
 
+_FAR = 10.0
+"""From where on two sweeps tell of which frame their points are [m]: the middle of the points of a
+sweep moves by metres from one to the next street."""
+
+_SURE = 1 / 3  # how much better one frame explains this middle than the other
+
 _NAMELESS = {".bin", ".npy"}  # suffixes of files that need not be clouds
 
 
@@ -126,6 +132,8 @@ class CloudFolder(Recording):
         labels, world = path / settings.labels, settings.frame == "world"
         if "labels" in settings.model_fields_set and not labels.is_dir():
             raise DatasetError(f"{file}: there is no folder {labels} of labels")
+        if poses is not None:
+            _check_frame(lidars[0], poses, world, path / FILE)
         super().__init__(name, path, lidars, cameras, poses, settings, world, uncalibrated, labels)
 
 
@@ -186,6 +194,39 @@ def _poses(settings: FolderSettings, lidar: FileLidar) -> NDArray[np.float64] | 
             f"pose; say poses: FILE in {file}"
         )
     return poses
+
+
+def _check_frame(lidar: FileLidar, poses: NDArray[np.float64], world: bool, file: Path) -> None:
+    """Refuse points of another frame than is said, where two sweeps from far apart tell.
+
+    The middle of the points goes along with the LiDAR in the world, and stays in its own frame.
+    """
+    positions = poses[:, :3, 3]
+    if len(positions) != len(lidar.sweeps):
+        return
+    far = int(np.linalg.norm(positions - positions[0], axis=1).argmax())
+    way = positions[far] - positions[0]
+    if not _FAR < np.linalg.norm(way) < np.inf:
+        return
+    middles = []
+    for k in (0, far):
+        try:
+            points = lidar.read(k).points
+        except DatasetError:  # told when the sweep is read
+            return
+        points = points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
+        if not len(points):
+            return
+        middles.append(np.median(points, axis=0))
+    moved = middles[1] - middles[0]
+    of_world, of_lidar = np.linalg.norm(moved - way), np.linalg.norm(moved)
+    if (of_lidar < _SURE * of_world) if world else (of_world < _SURE * of_lidar):
+        said, other = ("world", "lidar") if world else ("lidar", "world")
+        raise DatasetError(
+            f"{lidar.sweeps[far]}: its points are not in the frame {said!r}: since "
+            f"{lidar.sweeps[0].name} the poses go {np.linalg.norm(way):.0f} m, the middle of the "
+            f"points {of_lidar:.0f} m; say frame: {other} in {file}"
+        )
 
 
 def _recognises(path: Path) -> bool:
