@@ -215,6 +215,26 @@ def test_wide_gaps_are_not_bridged() -> None:
     assert np.minimum(spans, 2 * np.pi - spans).max() < np.radians(4.1)
 
 
+def test_a_surface_goes_on_across_missing_returns_only_where_it_is_flat() -> None:
+    """A hedge and a post behind it, with nothing between them that returned, are no surface."""
+    directions = ring_rays(64, 1800, low=-12, high=9)
+    azimuth = np.degrees(np.arctan2(directions[:, 1], directions[:, 0]))
+    seen = (np.abs(azimuth) < 20) & ((azimuth < 0) | (azimuth > 3))
+    directions, beyond = directions[seen], azimuth[seen] > 3
+
+    def over_the_gap(ranges: NDArray) -> NDArray:
+        mesh = ScanMesh((directions * ranges[:, None]).astype(np.float32))
+        of_both = beyond[mesh.triangles].any(axis=1) & ~beyond[mesh.triangles].all(axis=1)
+        assert of_both.sum() > 60
+        return mesh.discontinuity[of_both]
+
+    # The gap is 1.05 m wide at 20 m.
+    assert not over_the_gap(np.where(beyond, 20.5, 20.0)).any()
+    assert over_the_gap(np.where(beyond, 21.5, 20.0)).all()
+    oblique = np.array([np.sin(np.radians(20)), np.cos(np.radians(20)), 0])  # 70 degrees off ahead
+    assert not over_the_gap(8.0 / (directions @ oblique)).any()
+
+
 def test_isolated_returns_are_in_no_continuous_triangle() -> None:
     random = np.random.default_rng(5)
     points = (scatter_rays() * random.uniform(3, 60, 5000)[:, None]).astype(np.float32)

@@ -83,14 +83,42 @@ DOCDEPTH_KERNEL Floats largest(const Floats& a, const Floats& b, const Floats& c
   return larger > c ? larger : c;
 }
 
+/// A triangle so many times as wide as rays are apart spans rays that did not return.
+constexpr float kGapSpacings = 2;
+/// There it is a surface only if its range changes by less than this many times the distance across
+/// the ray: nothing was seen of what is between.
+constexpr float kGapJumpRatio = 1;
+/// Every so many triangles tell how far rays are apart.
+constexpr std::size_t kSpacingStep = 16;
+
+/// How far neighbouring rays of a sweep are apart: the median of the longest sides of triangles,
+/// as the diagonals of a grid of rings and columns [rad].
+float ray_spacing(const Triangulation& triangulation, const std::vector<Ray>& rays) {
+  std::vector<float> longest;
+  const auto gap_squared = [&](std::uint32_t i, std::uint32_t j) {
+    const float x = rays[i].x - rays[j].x, y = rays[i].y - rays[j].y, z = rays[i].z - rays[j].z;
+    return (x * x + y * y) + z * z;
+  };
+  for (std::size_t t = 0; t < triangulation.size(); t += kSpacingStep) {
+    const auto& [i, j, k] = triangulation[t].corners;
+    longest.push_back(std::max({gap_squared(i, j), gap_squared(j, k), gap_squared(k, i)}));
+  }
+  if (longest.empty()) return 0;
+  const auto middle = longest.begin() + std::ptrdiff_t(longest.size() / 2);
+  std::nth_element(longest.begin(), middle, longest.end());
+  return std::sqrt(*middle);
+}
+
 struct Shape {
   bool is_wide, is_steep;
   std::uint8_t flattest;  ///< side with the least change of range
 };
 
 struct FindShapes {
+  /// @param spacing  of the rays of the sweep [rad]
   DOCDEPTH_KERNEL static void run(std::size_t count, const Triangle* triangles, const Ray* rays,
-                                  const MeshParameters& parameters, Shape* shapes) {
+                                  const MeshParameters& parameters, float spacing, Shape* shapes) {
+    const float gap = kGapSpacings * spacing;
     for (std::size_t first = 0; first < count; first += kLanes) {
       const std::size_t some = std::min(count - first, std::size_t{kLanes});
       Corners a, b, c;
@@ -102,10 +130,11 @@ struct FindShapes {
       }
       const float noise = parameters.noise;
       const Side ab(a, b, noise), bc(b, c, noise), ca(c, a, noise);
-      const Ints is_wide = largest(ab.gap_squared, bc.gap_squared, ca.gap_squared) >
-                           parameters.max_gap * parameters.max_gap;
+      const Floats widest = largest(ab.gap_squared, bc.gap_squared, ca.gap_squared);
+      const Ints is_wide = widest > parameters.max_gap * parameters.max_gap;
+      const Floats steepest = largest(ab.steepness, bc.steepness, ca.steepness);
       const Ints is_steep =
-          largest(ab.steepness, bc.steepness, ca.steepness) > parameters.jump_ratio;
+          (steepest > parameters.jump_ratio) | ((steepest > kGapJumpRatio) & (widest > gap * gap));
       const Floats less = bc.change < ab.change ? bc.change : ab.change;
       const Ints flatter = -(bc.change < ab.change);
       const Ints flattest = ca.change < less ? Ints{} + 2 : flatter;
@@ -217,7 +246,8 @@ ScanMesh build_scan_mesh(const Points& points, const MeshParameters& parameters)
     if (rays[i].range > 0.0f) usable.push_back(i);
   const Triangulation triangulation = triangulate(directions_of(points), usable);
   std::vector<Shape> shapes(triangulation.size());
-  dispatch<FindShapes>(shapes.size(), triangulation.data(), rays.data(), parameters, shapes.data());
+  dispatch<FindShapes>(shapes.size(), triangulation.data(), rays.data(), parameters,
+                       ray_spacing(triangulation, rays), shapes.data());
   ScanMesh mesh;
   mesh.points = rays.size();
   mesh.discontinuity = find_discontinuities(points, triangulation, shapes, parameters.flatness);
