@@ -9,7 +9,7 @@ import pytest
 from docdepth.config import Parameters
 from docdepth.dynamics.tracking import TrackedSweep
 from docdepth.errors import DamagedFileError
-from docdepth.geometry.track import Track
+from docdepth.geometry.track import Track, Tracks
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.untrusted import read_kept_arrays
 from docdepth.pipeline.sweep_store import TRACKING, TrackStore, sweep_file, write_arrays
@@ -35,6 +35,13 @@ def track_of(number, length):
     points = number * np.arange(length)
     about = np.full(3, number), points, 0.1 * points, 0.2 * points
     return Track(number, "person", times, poses, poses[:, 0, :3], *about)
+
+
+def test_a_track_is_shown_in_one_line():
+    track = track_of(3, 5)
+    assert repr(track) == "Track(id=3, person, 3.0 x 3.0 x 3.0 m, 5 sweeps, 0.0 s)"
+    assert repr(Tracks([track])) == "Tracks(1; person: 1)"
+    assert repr(Tracks()) == "Tracks(0)"
 
 
 def test_any_array_of_a_file_is_read_alone(run):

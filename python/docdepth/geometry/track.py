@@ -26,7 +26,7 @@ MAX_TRACKS = 0xFFFF
 """Largest id: an instance is the upper half of a SemanticKITTI label."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Track:
     """One object over the time in which it is known.
 
@@ -93,6 +93,14 @@ class Track:
 
     def __len__(self) -> int:
         return len(self.times)
+
+    def __repr__(self) -> str:
+        length, width, height = self.size
+        seconds = int(self.times[-1] - self.times[0]) * 1e-9
+        return (
+            f"Track(id={self.id}, {self.kind}, {length:.1f} x {width:.1f} x {height:.1f} m, "
+            f"{len(self)} sweeps, {seconds:.1f} s)"
+        )
 
     @cached_property
     def _path(self) -> Trajectory:
@@ -171,6 +179,11 @@ class Tracks(Mapping[int, Track]):
 
     def __iter__(self) -> Iterator[int]:
         return iter(self._by_id)
+
+    def __repr__(self) -> str:
+        counts = ((kind, sum(track.kind == kind for track in self._every)) for kind in KINDS)
+        kinds = ", ".join(f"{kind}: {count}" for kind, count in counts if count)
+        return f"Tracks({len(self)}{'; ' * bool(kinds)}{kinds})"
 
     def between(self, first: int, last: int) -> list[Track]:
         """Tracks that are known at some time from ``first`` to ``last`` [ns], in their order."""
