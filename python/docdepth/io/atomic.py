@@ -17,8 +17,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import deflate
 import numpy as np
-from isal import isal_zlib
 
 from docdepth.errors import RunError
 from docdepth.io.untrusted import open_file
@@ -119,7 +119,7 @@ def checksum(path: Path) -> int:
     found = 0
     with open_file(path) as stream:
         while data := stream.read(_CHUNK):
-            found = isal_zlib.crc32(data, found)
+            found = deflate.crc32(data, found)
     return found
 
 
