@@ -29,7 +29,7 @@ _PAUSE = 30.0
 """A log file gets a line after so many seconds, or when a tenth more is done."""
 
 
-class Work:
+class ProgressEstimate:
     """How much is done, and how long the rest takes, from calls of :class:`Progress`.
 
     The steps of a run are one work, any other step is one by itself. A step that comes again, as
@@ -91,7 +91,7 @@ def progress_bars() -> Iterator[Progress]:
         return
     columns = TextColumn("{task.description:<22}"), BarColumn(), _Times()
     with Bars(*columns, console=err) as bars:
-        work = Work()
+        work = ProgressEstimate()
 
         def tell(step: str, done: int, total: int) -> None:
             if work.take(step, done, total):
@@ -110,7 +110,7 @@ class _Times(ProgressColumn):
         return Text(f"{task.percentage:3.0f} %{task.fields.get('times', '')}")
 
 
-def _times(work: Work) -> str:
+def _times(work: ProgressEstimate) -> str:
     """``, 0:06, about 0:04 left``; nothing in the first second."""
     if work.seconds < 1:
         return ""
@@ -120,7 +120,7 @@ def _times(work: Work) -> str:
 
 def progress_lines(clock: Callable[[], float] = time.monotonic) -> Progress:
     """For log files: a line with the time taken, and an estimate of what is left."""
-    work = Work(clock)
+    work = ProgressEstimate(clock)
     last_step, last_tenths, last = "", -1, 0.0
 
     def tell(step: str, done: int, total: int) -> None:

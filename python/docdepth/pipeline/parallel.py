@@ -347,4 +347,4 @@ def _hear_from(address: str) -> None:
         return
     with socket.create_connection((place[1], int(place[2])), _ANSWERS_WITHIN) as caller:
         if not caller.recv(1):
-            raise OSError("what answers there is none")
+            raise OSError("the connection was closed without an answer")
