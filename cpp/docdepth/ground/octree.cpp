@@ -7,7 +7,7 @@ namespace docdepth {
 namespace {
 
 /// Larger nodes of the octree are split [points].
-constexpr std::uint32_t kLeafSize = 32;
+constexpr std::uint32_t kLeafSize = 128;
 constexpr int kLevels = 19;  // bits of a block's coordinate
 
 /// Every third bit of a block's coordinate.
