@@ -90,4 +90,4 @@ def _lasers(points: NDArray[np.float32]) -> tuple[NDArray[np.uint8], NDArray[np.
         upper = (z - _UPPER_HEIGHT) / (distance + _UPPER_BEHIND)
         lower = (z - _LOWER_HEIGHT) / (distance + _LOWER_BEHIND)
     slope = np.where(upper > _BETWEEN[31], upper, lower).astype(np.float32)
-    return np.searchsorted(-_BETWEEN.astype("f4"), -slope).clip(0, 63).astype(np.uint8), slope
+    return np.searchsorted(-_BETWEEN.astype("f4"), -slope).astype(np.uint8), slope

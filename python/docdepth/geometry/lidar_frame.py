@@ -114,9 +114,10 @@ class SensorRig(ShortRepr):
         time_offset : ndarray of float32, shape (N,)
             Seconds from the sweep's stamp to the measurement of each point.
         """
-        return replace(
-            self, ego_displacement=time_offset[:, None] * np.asarray(velocity, np.float32)
-        )
+        moved = np.empty((len(time_offset), 3), np.float32)
+        for axis, speed in enumerate(np.asarray(velocity, np.float32)):
+            np.multiply(time_offset, speed, out=moved[:, axis])
+        return replace(self, ego_displacement=moved)
 
     def select(self, rows: NDArray[np.bool_] | slice) -> SensorRig:
         """The rig of some of the points."""
@@ -220,7 +221,9 @@ def lidar_views(points: NDArray[np.float32], sensor_rig: SensorRig | None) -> It
         T = inverse(T_lidar_sensor)
         aligned = np.array_equal(T[:3, :3], np.eye(3))
         exact = points if aligned else points.astype(np.float64) @ T[:3, :3].T
-        seen = np.add(exact, T[:3, 3], dtype=np.float64).astype(np.float32)
+        seen = np.empty(points.shape, np.float32)
+        for axis in range(3):  # faster than by rows
+            seen[:, axis] = np.add(exact[:, axis], T[axis, 3], dtype=np.float64)
         if (sensor_rig.lidar_id != lidar_id).any():
             seen[sensor_rig.lidar_id[sensor_rig.index] != lidar_id] = np.nan
         at_origin = len(lasers) == 1 and sensor_rig.ego_displacement is None
@@ -292,6 +295,6 @@ class LidarFrame(ShortRepr):
     def select(self, rows: NDArray[np.bool_]) -> LidarFrame:
         """The frame with some of its points."""
         names = [name for name, values in vars(self).items() if isinstance(values, np.ndarray)]
-        columns = {name: getattr(self, name)[rows] for name in names}
+        columns = {name: getattr(self, name).compress(rows, axis=0) for name in names}
         rig = self.sensor_rig
         return replace(self, **columns, sensor_rig=None if rig is None else rig.select(rows))

@@ -74,23 +74,19 @@ class RenderSweep:
         velocity: ArrayLike | None = None,
         objects: DynamicObjects | None = None,
     ) -> None:
-        points, classid = frame.points, frame.classes
-        time_offset, sensor_rig = frame.time_offset, frame.sensor_rig
         p = parameters or RenderParameters()
-        drawn = _within_crop(points, classid, p.crop)
+        drawn = _within_crop(frame.points, frame.classes, p.crop)
+        if not drawn.all():
+            frame, objects = frame.select(drawn), objects and objects.select(drawn)
+        points, classid = frame.points, frame.classes
         if p.primitive == "splats":
-            if not drawn.all():
-                points, classid = points.compress(drawn, axis=0), classid[drawn]
             self.parts = [(_core.Frame(points, classid, np.inf), np.eye(4))]
             return
+        time_offset, sensor_rig = frame.time_offset, frame.sensor_rig
         if time_offset is not None and velocity is not None:
             rig = sensor_rig or SensorRig.single((0, 0, 0), len(points))
             sensor_rig = rig.with_ego_motion(velocity, time_offset)
-        if sensor_rig is not None:
-            sensor_rig = sensor_rig.select(drawn)
-        objects = objects or dynamic_objects(frame)
-        self.objects = objects.select(drawn)
-        points, classid = points.compress(drawn, axis=0), classid[drawn]
+        self.objects = objects or dynamic_objects(frame)
         # This mesh differs from the one that votes use: its ray origins move with the vehicle,
         # which changes which returns are neighbours, and points beyond the crop are missing.
         meshes = ScanMesh(points, sensor_rig=sensor_rig).parts
