@@ -76,7 +76,7 @@ class _Bag:
         from rosbags.typesys import Stores, get_typestore
 
         self._writer, self._types = writer, get_typestore(Stores.ROS2_HUMBLE)
-        self._connections: dict[str, Any] = {}
+        self._connections: dict[str, object] = {}
 
     def write_transforms(
         self, topic: str, time: int, frames: dict[str, tuple[str, NDArray[np.float64]]]

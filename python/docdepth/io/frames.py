@@ -169,15 +169,16 @@ def read_sensors(path: Path, sensor: NDArray[np.uint8]) -> SensorRig:
         The file is missing or damaged.
     """
     try:
-        return SensorRig(sensor, **_sensors(path, _identity(path)))
+        T, offsets, lidars, beam_width = _sensors(path, _identity(path))
+        return SensorRig(sensor, T, offsets, lidars, beam_width=float(beam_width))
     except (InputError, TypeError, ValueError) as error:
         raise DamagedFileError(path, str(error)) from None
 
 
 @lru_cache(maxsize=1)
-def _sensors(path: Path, identity: tuple[int, ...]) -> dict[str, Any]:
+def _sensors(path: Path, identity: tuple[int, ...]) -> list[NDArray[Any]]:
     """Arguments of :class:`SensorRig` that all frames of a run share, read once."""
-    return dict(zip(_OF_SENSORS, read_kept_arrays(path, *_OF_SENSORS), strict=True))
+    return read_kept_arrays(path, *_OF_SENSORS)
 
 
 def write_frame(path: Path, frame: LidarFrame, write_file: WriteFile = write_atomically) -> None:
@@ -222,7 +223,7 @@ def read_frame(
         if "index" in names
         else np.arange(len(rows), dtype=np.uint32)
     )
-    columns: dict[str, Any] = {
+    columns = {
         name: np.ascontiguousarray(rows[name], kind)
         for name, kind in _OPTIONAL.items()
         if name in names

@@ -229,8 +229,7 @@ def _make(folder: RunFolder, recording: Dataset, execution: Execution) -> None:
     stages = plan(folder, recording, poses, cameras)
     is_done = all([stage.state().state == "done" for stage in stages])
     if is_done and are_fitted and index_is_whole(folder):
-        _save_done(folder, stages)
-        _delete_frames(folder)
+        _finish(folder, stages)
         return
     if not is_done:
         _check(folder, recording, cameras, workers.jobs)
@@ -251,8 +250,7 @@ def _make(folder: RunFolder, recording: Dataset, execution: Execution) -> None:
                     cameras = run_cameras(folder, recording)
                     stages = plan(folder, recording, poses, cameras)
                     draw(cameras, stages)
-                _save_done(folder, stages)
-                _delete_frames(folder)
+                _finish(folder, stages)
                 return
             except (DatasetError, OdometryError):
                 # A file that was whole when the run began is not any more.
@@ -273,19 +271,16 @@ def _make(folder: RunFolder, recording: Dataset, execution: Execution) -> None:
         )
 
 
-def _save_done(folder: RunFolder, stages: Sequence[Stage]) -> None:
-    """Save run.yaml of a run that is done: the recording was moved, or a command was killed."""
+def _finish(folder: RunFolder, stages: Sequence[Stage]) -> None:
+    """Save run.yaml of a run that is done, where the recording was moved or a command was killed,
+    and delete the frames if only results are to stay, or what an interrupted command left of them.
+    """
     killed = [stage.name for stage in stages if folder.stage(stage.name).state == "running"]
     if killed or not folder.is_saved:
         with folder.lock("run"):
             for name in killed:
                 folder.set_stage(name, state="done")
             folder.save()
-
-
-def _delete_frames(folder: RunFolder) -> None:
-    """Delete the frames of a run that is done if only its results are to stay, or what an
-    interrupted command left of them."""
     folders = folder.frame_path(0).parent, folder.classes_path(0).parent
     if folder.manifest.keep != "results" or not any(folder.records(f).names() for f in folders):
         return

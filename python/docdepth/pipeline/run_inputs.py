@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,26 +78,28 @@ def open_inputs(
     """
     whole = _open_whole(inputs)
     derived = DerivedInputs(skipped=_find_skipped(inputs, whole, begun))
-    if not inputs.keep_ego:
-        known = None if kept_ego else begun
-        boxes = find_ego_boxes(_part(whole, inputs, derived), known)
-        derived = derived.model_copy(update={"ego_boxes": boxes})
-    origin = find_ray_origin(_part(whole, inputs, derived), begun)
-    derived = derived.model_copy(update={"sensor_origin": origin})
-    up = find_up(_part(whole, inputs, derived), begun)
-    derived = derived.model_copy(update={"up": up})
-    turn = find_turn(_part(whole, inputs, derived), getattr(whole, "stamp", None), begun)
-    return _opened(whole, inputs, derived.model_copy(update={"turn": turn}))
+    recording, stamp = _part(whole, inputs, derived), getattr(whole, "stamp", None)
+    of_vehicle = None if kept_ego else begun
+    # Each is looked for in the recording as those before it leave it.
+    searches: dict[str, Callable[[], object]] = {
+        "ego_boxes": lambda: None if inputs.keep_ego else find_ego_boxes(recording, of_vehicle),
+        "sensor_origin": lambda: find_ray_origin(recording, begun),
+        "up": lambda: find_up(recording, begun),
+        "turn": lambda: find_turn(recording, stamp, begun),
+    }
+    for name, search in searches.items():
+        found = search()
+        if found is not None:
+            derived = derived.model_copy(update={name: found})
+            recording = _part(whole, inputs, derived)
+    return OpenedInputs(recording, open_cameras(inputs, recording, inputs.camera), derived)
 
 
 def open_as_begun(inputs: RunInputs, begun: DerivedInputs) -> OpenedInputs:
     """:func:`open_inputs` where only broken frames are looked for again."""
     whole = _open_whole(inputs)
     skipped = _find_skipped(inputs, whole, begun)
-    return _opened(whole, inputs, begun.model_copy(update={"skipped": skipped}))
-
-
-def _opened(whole: Dataset, inputs: RunInputs, derived: DerivedInputs) -> OpenedInputs:
+    derived = begun.model_copy(update={"skipped": skipped})
     recording = _part(whole, inputs, derived)
     return OpenedInputs(recording, open_cameras(inputs, recording, inputs.camera), derived)
 
