@@ -137,7 +137,7 @@ pytest: dev
 	$(PYTEST) -m "not slow"
 
 pytest-all: dev
-	$(PYTEST) -m "not nightly"
+	DOCDEPTH_EXAMPLES=$${DOCDEPTH_EXAMPLES:-10} $(PYTEST) -m "not nightly"
 
 pytest-nightly: dev
 	$(PYTEST) -m nightly

@@ -68,13 +68,15 @@ def drive_9001(kitti: Path) -> Path:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def square_mounts() -> Iterator[None]:
-    """Seek first motions in four directions: in all 36 they are most of the time of a small run.
+def coarse_search() -> Iterator[None]:
+    """Seek first motions in four directions and steps of half a metre: in all of them they are most
+    of the time of a small run.
 
     Tests of the odometry seek them in all.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(first_motion, "_DIRECTIONS", first_motion._DIRECTIONS[::9])
+        patch.setattr(first_motion, "_SPEEDS", first_motion._SPEEDS[::2])
         yield
 
 

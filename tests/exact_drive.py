@@ -19,10 +19,12 @@ def nearest_box(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Distance along rays to the first of boxes (inf: none), and which box it is."""
     best, which = np.full(len(directions), np.inf), np.zeros(len(directions), np.int64)
+    # By rows of x, y and z: numpy is slow along a short last axis.
+    start, along = np.atleast_2d(origins).T.copy(), directions.T.copy()
     with np.errstate(divide="ignore", invalid="ignore"):
-        for k, (near, far) in enumerate(zip(low, high, strict=True)):
-            a, b = (near - origins) / directions, (far - origins) / directions
-            enter, leave = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)
+        for k, (near, far) in enumerate(zip(low[..., None], high[..., None], strict=True)):
+            a, b = (near - start) / along, (far - start) / along
+            enter, leave = np.minimum(a, b).max(axis=0), np.maximum(a, b).min(axis=0)
             hit = (enter < leave) & (enter > 0) & (enter < best)
             best[hit], which[hit] = enter[hit], k
     return best, which
@@ -78,6 +80,12 @@ class Drive:
         start[:3, 3] = (0, -1, 1.8)
         steps = [np.linalg.matrix_power(self.motion, k) for k in range(self.count)]
         self.exact = start @ np.array(steps)
+        column = np.linspace(np.pi, -np.pi, 360, endpoint=False)
+        self._rays = scan_rays(np.deg2rad(np.linspace(-24, 8, 24)), column).reshape(-1, 3)
+        shares = column * (-0.5 / np.pi if self.raw else 0.0)
+        omega, velocity = se3_log(self.motion)
+        self._moved = np.array([se3_exp(f * omega, f * velocity) for f in shares])
+        self._relative_time = np.tile(shares, 24).astype(np.float32)
         self.read: list[int] = []
         self._sweeps: dict[int, Sweep] = {}
 
@@ -97,14 +105,7 @@ class Drive:
         return self._sweeps[index]
 
     def _measure(self, index: int) -> Sweep:
-        column = np.linspace(np.pi, -np.pi, 360, endpoint=False)
-        ray = scan_rays(np.deg2rad(np.linspace(-24, 8, 24)), column).reshape(-1, 3)
-        relative_time = column * (-0.5 / np.pi if self.raw else 0.0)
-        omega, velocity = se3_log(self.motion)
-        pose = self.exact[index] @ np.array(
-            [se3_exp(f * omega, f * velocity) for f in relative_time]
-        )
-        pose, relative_time = np.tile(pose, (24, 1, 1)), np.tile(relative_time, 24)
+        pose, ray = np.tile(self.exact[index] @ self._moved, (24, 1, 1)), self._rays
         direction = np.einsum("nij,nj->ni", pose[:, :3, :3], ray)
         street = self.street
         distance, _ = nearest_box(pose[:, :3, 3], direction, street.low, street.high)
@@ -113,7 +114,7 @@ class Drive:
             points.astype(np.float32),
             f"{index:06d}",
             int(self.times[index]),
-            relative_time=relative_time.astype(np.float32) if self.raw else None,
+            relative_time=self._relative_time.copy() if self.raw else None,
         )
 
 

@@ -30,18 +30,17 @@ def scan(T_world_lidar, box_x, every=1):
 
 def cast(origin, u, box_x):
     """Distance along rays u (n, 3) from a place in the yard, and what each one hits."""
+    u = u.T.copy()  # rows of x, y and z: numpy is slow along a short last axis
     with np.errstate(divide="ignore", invalid="ignore"):
         wall = np.minimum.reduce(
-            [np.where(s * u[:, k] > 0, (s * 25 - origin[k]) / u[:, k], np.inf)
+            [np.where(s * u[k] > 0, (s * 25 - origin[k]) / u[k], np.inf)
              for k in (0, 1) for s in (-1, 1)]
         )  # fmt: skip
-        floor = np.where(u[:, 2] < 0, (-1.7 - origin[2]) / u[:, 2], np.inf)
-        low, high = (
-            (np.array([box_x, 5, -1.7]) + side * np.array([1, 1, 1]) + [0, 0, 1] - origin) / u
-            for side in (-1, 1)
-        )
-        enter = np.nanmax(np.minimum(low, high), axis=1)
-        leave = np.nanmin(np.maximum(low, high), axis=1)
+        floor = np.where(u[2] < 0, (-1.7 - origin[2]) / u[2], np.inf)
+        middle = np.array([box_x, 5, -0.7]) - origin
+        low, high = ((middle + side)[:, None] / u for side in (-1, 1))
+        enter = np.fmax.reduce(np.minimum(low, high))
+        leave = np.fmin.reduce(np.maximum(low, high))
         box = np.where((enter < leave) & (enter > 0), enter, np.inf)
     hits = np.stack([floor, wall, box])
     return hits.min(0), hits.argmin(0)

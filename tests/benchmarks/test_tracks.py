@@ -12,6 +12,7 @@ pytest.importorskip("embreex")
 pytest.importorskip("motrics")
 
 
+@pytest.mark.slow
 def test_a_tiny_cell_has_figures_of_labels_and_tracks(tmp_path, capsys):
     import tracks
 

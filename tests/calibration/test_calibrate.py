@@ -63,6 +63,7 @@ def test_k_is_estimated_with_the_extrinsic(exact_pairs):
     assert difference(solution.T_camera_lidar, T_CAMERA_LIDAR)[0] < 0.06
 
 
+@pytest.mark.slow
 def test_the_uncertainty_has_what_an_estimated_k_costs(calibrated):
     """Against how much the calibrations of boards with other noise differ."""
     rng, turns, told, bounds = np.random.default_rng(2), [], [], []

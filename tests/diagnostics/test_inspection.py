@@ -120,6 +120,7 @@ _SLOW = {
     "upside down",
     "copies",
     "two returns",
+    "in the world",
 }
 
 

@@ -80,11 +80,19 @@ def ranges_of(size, middle, turn=0.0):
     """Where each ray of a LiDAR at the origin meets a box; infinite where it does not."""
     rotation = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0],
                          [0, 0, 1]])  # fmt: skip
-    start, along = np.negative(middle) @ rotation.T, RAYS @ rotation.T
+    # Most rays miss even the sphere around the box.
+    middle = np.broadcast_to(middle, RAYS.shape)
+    nearest = np.einsum("ij,ij->i", middle, middle) - np.dot(size, size) / 4
+    ahead = np.einsum("ij,ij->i", RAYS, middle)
+    towards = np.flatnonzero((nearest <= 0) | ((ahead > 0) & (ahead**2 > nearest)))
+    start, along = rotation @ -middle[towards].T, rotation @ RAYS[towards].T
+    half = np.array(size)[:, None] / 2
     with np.errstate(divide="ignore"):
-        ends = np.sort((np.array([-1, 1])[:, None, None] * np.array(size) / 2 - start) / along, 0)
-    near, far = ends[0].max(1), ends[1].min(1)
-    return np.where((near < far) & (near > 0), near, np.inf)
+        a, b = ((end - start) / along for end in (-half, half))
+    near, far = np.minimum(a, b).max(0), np.maximum(a, b).min(0)
+    ranges = np.full(len(RAYS), np.inf)
+    ranges[towards] = np.where((near < far) & (near > 0), near, np.inf)
+    return ranges
 
 
 def measured(ranges, rays, rng):
@@ -100,30 +108,30 @@ def detections_of(things, count, seed=0, joined=None, drive=None):
     """
     rng = np.random.default_rng(seed)
     detections, rows = [], []
-    for i in range(count):
-        T = (drive or straight(count)).poses[i]
-        points, first, moving, porous, stays, firsts, wholes = [], [], [], [], [], {}, {}
+    for i, T in enumerate((drive or straight(count)).poses[:count]):
+        points, about, stays, firsts, wholes, before = [], [], [], {}, {}, 0
         ranges = np.array([thing.ranges(i, T[:3, 3]) for thing in things])
         nearest = np.where(np.isfinite(ranges).any(0), ranges.argmin(0), -1)
         for k, thing in enumerate(things):
             own = nearest == k
             if not own.any():
                 continue
-            firsts[k] = len(points)
+            firsts[k] = before
             seen = measured(ranges[k], own, rng)
             whole = next((wholes[a] for (a, b), sweeps in (joined or {}).items()
                           if b == k and a in wholes and i in sweeps), firsts[k])  # fmt: skip
             wholes[k] = whole
-            points += list(seen)
-            first += [whole] * len(seen)
-            moving += [i in thing.dynamic] * len(seen)
-            porous += list(np.arange(len(seen)) < thing.porous * len(seen))
-            stays += list(thing.stays(i, count, seen + T[:3, 3]))
-        cloud = np.array(points, np.float32).reshape(-1, 3)
+            porous = np.arange(len(seen)) < thing.porous * len(seen)
+            points.append(seen)
+            about.append(np.stack(np.broadcast_arrays(whole, i in thing.dynamic, porous)))
+            stays.append(thing.stays(i, count, seen + T[:3, 3]))
+            before += len(seen)
+        cloud = np.concatenate([np.zeros((0, 3), np.float32), *points])
         none = np.zeros(len(cloud), bool)
-        objects, flags = np.array(first, np.uint32), np.array(moving, bool)
-        once, *ends = np.array(stays, np.int32).reshape(-1, 3).T
-        seen = (once > 0, np.array(porous, bool), *(np.ascontiguousarray(end) for end in ends))
+        objects, flags, porous = np.concatenate([np.zeros((3, 0), np.int64), *about], 1)
+        objects, flags = objects.astype(np.uint32), flags.astype(bool)
+        once, *ends = np.concatenate([np.zeros((0, 3)), *stays]).astype(np.int32).T
+        seen = (once > 0, porous.astype(bool), *(np.ascontiguousarray(end) for end in ends))
         mesh = ScanMesh(cloud).core
         detections.append(_core.Detections(cloud, none, objects, flags, *seen, mesh, T))
         rows.append(firsts)

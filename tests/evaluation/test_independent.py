@@ -79,6 +79,7 @@ def same_shares(counts, true, said) -> None:
     assert share == pytest.approx(100 * said.mean())
 
 
+@pytest.mark.slow
 def test_label_figures_are_those_of_scikit_learn(finished, drive) -> None:
     metrics = pytest.importorskip("sklearn.metrics")
     result = evaluate_labels(finished[0], drive)

@@ -11,9 +11,10 @@ from docdepth.odometry import first_motion
 
 
 @pytest.fixture(scope="module", autouse=True)
-def all_directions() -> Iterator[None]:
-    """Seek first motions in all directions, as no other tests do."""
+def whole_search() -> Iterator[None]:
+    """Seek first motions in all directions and steps, as no other tests do."""
     with pytest.MonkeyPatch.context() as patch:
         directions = np.radians(np.arange(-180, 180, 10)).tolist()
         patch.setattr(first_motion, "_DIRECTIONS", directions)
+        patch.setattr(first_motion, "_SPEEDS", np.arange(0, 5.1, 0.25).tolist())
         yield

@@ -21,6 +21,8 @@ from docdepth.odometry.places import Place, Placed, locate
 from docdepth.odometry.pose_graph import Edge
 from docdepth.odometry.registration_log import RegistrationLog
 from docdepth.odometry.sweeps import ThinnedSweeps
+from exact_drive import nearest_box
+from lidar_rays import scan_rays
 
 RADIUS, STEP = 30.0, 1.5  # metres; of the ring, and from sweep to sweep
 LAP = round(2 * np.pi * RADIUS / STEP)
@@ -41,16 +43,6 @@ class Town:
                 boxes.append((*(centre - half), 0, *(centre + half), rng.uniform(2, 9)))
         boxes.append((-200, -200, -3, 200, 200, 0))
         self.low, self.high = np.hsplit(np.array(boxes), 2)
-
-    def ranges(self, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        nearest = np.full(len(directions), np.inf)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            for low, high in zip(self.low, self.high, strict=True):
-                a, b = (low - origin) / directions, (high - origin) / directions
-                enter, leave = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)
-                hit = (enter < leave) & (enter > 0)
-                nearest = np.where(hit, np.minimum(nearest, enter), nearest)
-        return nearest
 
 
 class Ring:
@@ -81,17 +73,12 @@ class Ring:
         return np.array(poses)
 
     def sweep(self, index: int) -> Sweep:
-        azimuth, elevation = np.meshgrid(
-            np.radians(np.arange(0, 360, 3)), np.radians(np.linspace(-20, 14, 18))
-        )
-        rays = np.stack(
-            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
-             np.sin(elevation)], axis=-1,
-        ).reshape(-1, 3)  # fmt: skip
+        rays = scan_rays(np.radians(np.linspace(-20, 14, 18)), np.radians(np.arange(0, 360, 3)))
+        rays = rays.reshape(-1, 3)
         pose = self.exact[index]
         origin = pose[:3, 3] + (0, -RADIUS, 1.8)  # the town's frame
         town = self.towns[index >= LAP - 5]
-        distance = town.ranges(origin, rays @ pose[:3, :3].T)
+        distance, _ = nearest_box(origin, rays @ pose[:3, :3].T, town.low, town.high)
         points = rays * np.where(np.isfinite(distance), distance, 0)[:, None]
         return Sweep(points.astype(np.float32), f"{index:06d}", int(self.times[index]))
 

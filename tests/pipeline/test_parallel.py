@@ -94,7 +94,7 @@ def test_a_worker_that_dies_ends_the_run_and_the_same_command_continues(
     assert results(tmp_path / "run") == results(whole)
 
 
-@pytest.mark.parametrize("metres", [1.0, 3.0])
+@pytest.mark.parametrize("metres", [1.0, pytest.param(3.0, marks=pytest.mark.slow)])
 def test_it_does_not_matter_where_a_drive_is_cut(
     drive: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, metres: float
 ) -> None:
@@ -243,7 +243,7 @@ def test_jobs_and_a_scheduler_exclude_each_other() -> None:
         Execution(jobs=0)
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_all_recordings_of_a_folder(drive: Path, whole: Path, tmp_path: Path, jobs: int) -> None:
     root = tmp_path / "set"
     shutil.copytree(drive, root / "a" / "long")

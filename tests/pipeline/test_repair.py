@@ -34,13 +34,22 @@ POSES = straight(SWEEPS, 0.5).poses
 KEPT_TRACKS = [".docdepth/tracks/000002.npz", ".docdepth/tracks/paths.npz"]
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a small drive and a finished run of it; beside it lies a copy."""
+    root = tmp_path_factory.mktemp("repair") / "root"
+    write_small_drive(root / "drive")
+    write_kitti(root / "poses.txt", POSES)
+    assert again(root).exit_code == 0
+    shutil.copytree(root, root.with_name("copy"))
+    return root
+
+
 @pytest.fixture
-def root(tmp_path: Path) -> Path:
-    """A folder with a small drive and a finished run of it."""
-    write_small_drive(tmp_path / "drive")
-    write_kitti(tmp_path / "poses.txt", POSES)
-    assert again(tmp_path).exit_code == 0
-    return tmp_path
+def root(made: Path) -> Path:
+    """The folder as it was made, under the name that run.yaml holds."""
+    shutil.rmtree(made)
+    return Path(shutil.copytree(made.with_name("copy"), made))
 
 
 def again(root: Path, *more: object):

@@ -230,7 +230,7 @@ def _lose(world: World, path: Path) -> None:
     )
 )
 @settings(
-    max_examples=int(os.environ.get("DOCDEPTH_EXAMPLES", "10")),
+    max_examples=int(os.environ.get("DOCDEPTH_EXAMPLES", "4")),
     deadline=None,
     derandomize=True,
     report_multiple_bugs=False,

@@ -197,7 +197,13 @@ def test_image_between_sweeps_shows_moving_objects_at_its_own_time():
     assert np.abs(np.abs(local) - (2.0, 1.0, 0.75)).min(axis=1).max() < 2e-3
 
 
-@pytest.mark.parametrize("name", list(synthetic.SCENES))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in ("crossing", "fences") else pytest.mark.slow)
+        for name in synthetic.SCENES
+    ],
+)
 def test_scenes_have_ground_that_is_not_flat_and_traffic(name):
     scene = synthetic.scene(name, 0)
     drive = Drive(scene, synthetic.sensor("XT-32"), 50)
@@ -255,7 +261,7 @@ def test_rosette_never_repeats():
     assert np.degrees(np.ptp(np.arcsin(z))) == pytest.approx(77.2 + 0.7, abs=2.0)
 
 
-@pytest.mark.parametrize("skew", [False, True])
+@pytest.mark.parametrize("skew", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_layout_on_disk(tmp_path, skew):
     steps = []
     folder = synthetic.write_drive(
