@@ -264,6 +264,8 @@ Rays::Rays(const Points& points, const std::vector<Vector>& normals, const Point
     cells_.elevation[to] = float(directions[i].elevation);
     cells_.ends[to] = {{ray.plane[0], ray.plane[1], ray.plane[2]}, ray.range};
     cells_.time[to] = time_offset ? time_offset[i] : 0.0f;
+    cells_.first_time = std::min(cells_.first_time, cells_.time[to]);
+    cells_.last_time = std::max(cells_.last_time, cells_.time[to]);
     cells_.moving[to] = moving && moving[i];
   }
 }

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "docdepth/geometry/types.hpp"
@@ -59,7 +60,9 @@ class Rays {
     std::vector<float> azimuth, elevation;  ///< of each ray; integers
     std::vector<float> left, up;            ///< offset of the ray's origin [units * m]
     std::vector<End> ends;
-    std::vector<float> time;           ///< of each ray [s after the sweep's stamp]
+    std::vector<float> time;  ///< of each ray [s after the sweep's stamp]
+    /// Of the first and the last ray; infinite without rays.
+    float first_time = std::numeric_limits<float>::infinity(), last_time = -first_time;
     std::vector<std::uint8_t> moving;  ///< 1 if the ray ended on a dynamic object
 
     float spacing() const;  ///< mean distance between returns [rad]

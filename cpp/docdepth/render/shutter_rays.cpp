@@ -34,13 +34,12 @@ class ShutterRays::Sweep {
       : cells_(placed.rays->cells()),
         T_rays_camera_(placed.T_camera_rays.inverse()),
         age_(placed.age),
-        reach_(kNearRays * cells_.spacing() / kRadiansPerUnit) {
-    if (!std::isfinite(age_)) return;
-    for (const float time : cells_.time) soonest_ = std::min(soonest_, std::fabs(time - age_));
-  }
+        reach_(kNearRays * cells_.spacing() / kRadiansPerUnit) {}
 
-  /// Whether any ray was measured within a time of the image [s].
-  bool any(float within) const { return soonest_ <= within; }
+  /// Whether some ray may have been measured within a time of the image [s].
+  bool any(float within) const {
+    return cells_.first_time - age_ <= within && age_ - cells_.last_time <= within;
+  }
 
   bool on_plane(const Vector& plane, const Vector& target) const {
     const Vector point = T_rays_camera_ * target;
@@ -182,9 +181,8 @@ class ShutterRays::Sweep {
 
   const Rays::Cells& cells_;
   RigidTransform T_rays_camera_;
-  float age_;                                               // of the image [s after the stamp]
-  float reach_;                                             // [units]
-  float soonest_ = std::numeric_limits<float>::infinity();  // from a ray to the image [s]
+  float age_;    // of the image [s after the stamp]
+  float reach_;  // [units]
 };
 
 struct ShutterRays::FindRays {
