@@ -96,12 +96,15 @@ def _kind(error: BaseException) -> str:
 
 
 VERBS = (
-    "run RUN", "run RUN --force", "status RUN", "report RUN", "map RUN", "render RUN --force",
-    "classify RUN --force", "odometry RUN --force", "evaluate labels RUN --labels RUN",
-    "evaluate depth RUN --truth RUN", "evaluate trajectories RUN --poses RUN/traj_odometry.ply",
-    "convert RUN OUT --to label", "convert RUN OUT --to proj_depth", "convert RUN OUT --to tum",
-    "convert RUN OUT --to nerfstudio", "convert RUN OUT --to occupancy", "inspect RUN",
-    "convert RUN OUT --to mcap", "video RUN", "run RUN --keep results", "check RUN",
+    "run RUN", "run RUN --set dynamics.tolerance=0.3", "run RUN --layers normal",
+    "run RUN --dry-run", "run RUN --set render.behind=30", "run DRIVE -o RUN --force",
+    "run RUN --keep results", "render RUN --format exr", "status RUN", "map RUN", "inspect RUN",
+    "video RUN",
+    "evaluate labels RUN --labels TRUE/labels", "evaluate depth RUN --depth TRUE/depth",
+    "evaluate tracks RUN --labels TRUE/labels", "evaluate held-out RUN --every 2",
+    "evaluate trajectories RUN --poses TRUE/traj_odometry.ply", "convert RUN OUT --to label",
+    "convert RUN OUT --to proj_depth", "convert RUN OUT --to tum", "convert RUN OUT --to mcap",
+    "convert RUN OUT --to nerfstudio", "convert RUN OUT --to occupancy",
 )  # fmt: skip
 EVIL: tuple[Any, ...] = (
     "../outside", "../../outside/kept.txt", "/etc/passwd", ".", "..", "", "a/b", "x" * 5000, "\0",
@@ -253,9 +256,22 @@ def fuzz_runs(out: Path, count: int, first: int) -> None:
             os._exit(70)
         return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), told.read_text(errors="replace")
 
-    assert work(["run", str(drive), "-o", str(run), "--video", "-q"])[0] in (0, 2)
-    assert work(["run", str(drive), "-o", str(run), "-q"])[0] == 0
+    places = {"DRIVE": drive, "RUN": run, "OUT": result, "TRUE": finished}
+
+    def words(verb: str) -> list[str]:
+        for name, path in places.items():
+            verb = re.sub(rf"\b{name}\b", str(path), verb)
+        return verb.split()
+
+    assert work(words("run DRIVE -o RUN -q"))[0] == 0
     run.rename(finished)
+    for verb in VERBS:  # each does something here
+        shutil.copytree(finished, run)
+        code, said = work(words(verb))
+        if code not in (0, 1):
+            raise SystemExit(f"{verb}: {said}")
+        for path in (run, result):
+            _remove(path) if os.path.lexists(path) else None
     for number in range(first, first + count):
         rng = random.Random(number)
         shutil.copytree(finished, run, symlinks=True)
@@ -263,7 +279,7 @@ def fuzz_runs(out: Path, count: int, first: int) -> None:
         verb = rng.choice(VERBS)
         before = _seen(place, run)
         begun = time.time()
-        code, said = work(verb.replace("RUN", str(run)).replace("OUT", str(result)).split())
+        code, said = work(words(verb))
         _remove(result) if os.path.lexists(result) else None
         errors = len(re.findall("^error", said, re.M))
         wrong = [
