@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import pickle
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -114,16 +115,23 @@ BROKEN: list[tuple[str, str, Change, type, str]] = [
     ("Boreas", "T_camera_lidar.txt", text("1 0 0 0"), C, "16 numbers"),
     ("Boreas", "T_camera_lidar.txt", gone, C, "missing"),
     ("PandaSet", "front_camera/poses.json", text("[]"), D, "0 entries for 5 sweeps"),
-    ("PandaSet", "front_camera/poses.json", text("[1, 2, 3, 4, 5]"), D, "entry 0"),
+    ("PandaSet", "front_camera/poses.json", text("[1, 2, 3, 4, 5]"), D, "(0: "),
     ("PandaSet", "front_camera/timestamps.json", text("[1, 2, 3, 3, 4]"), D, "frame 3"),
-    ("PandaSet", "front_camera/timestamps.json", text('[1, 2, 3, 4, "x"]'), D, "seconds"),
+    ("PandaSet", "front_camera/timestamps.json", text('[1, 2, 3, 4, "x"]'), D, "(4: "),
     ("PandaSet", "front_camera/intrinsics.json", text("{}"), C, "fx"),
     *(("PandaSet", "lidar/02.pkl.gz", content(made), D, "(frame 2)") for made in NO_TABLES),
     ("Waymo", "lidar_calibration/*.parquet", gone, D, "missing"),
     ("Waymo", "lidar_calibration/*.parquet", cut, D, "no whole Parquet file"),
     ("Argoverse 2", "egovehicle_SE3_sensor.feather", gone, D, "missing"),
     ("nuScenes", "calibrated_sensor.json", swap('"translation": [', '"translation": [null, '), D,
-     "no pose"),
+     "(0: translation: 0: "),
+    ("nuScenes", "sensor.json", swap("channel", "Channel"), D, "(0: channel: Field required)"),
+    ("nuScenes", "sample_data.json", swap('stamp": ', f'stamp": 9{20 * "0"}'), D, "timestamp: "),
+    ("nuScenes", "sample_data.json", swap("sweeps/", "../sweeps/"), D, "out of the recording"),
+    ("nuScenes", "scene.json", swap('"name": "scene-0103"', '"name": -1'), D, "(1: name: "),
+    ("DGP", "scene_1234.json", swap('"X"', '""'), D, "point_format"),
+    ("DGP", "abc.json", swap('"fx": ', '"fx": "x", "FX": '), C, "intrinsics: "),
+    ("DGP", "scene_1234.json", swap("point_cloud/", "/etc/"), D, "out of the recording"),
 ]  # fmt: skip
 
 
@@ -144,6 +152,40 @@ def test_it_is_named(
         _ = open_dataset(path).poses
     assert (new.pop() if new else file).name in str(caught.value)
     assert told in str(caught.value)
+
+
+def test_chunks_that_a_file_is_too_short_for(tmp_path: Path) -> None:
+    """Memory for them ended the process."""
+    path = WRITERS["folder of laz"][1](tmp_path).path
+    file = min(path.rglob("*.laz"))
+    whole = bytearray(file.read_bytes())
+    (points,) = struct.unpack_from("<I", whole, 96)
+    (table,) = struct.unpack_from("<q", whole, points)
+    struct.pack_into("<I", whole, table + 4, 1 << 31)
+    file.write_bytes(whole)
+    with pytest.raises(DatasetError, match=rf"{file.name} .* more chunks than it has bytes"):
+        open_dataset(path).sweep(0)
+
+
+@pytest.mark.parametrize(
+    "error", [TypeError("'x'"), struct.error("no"), KeyError("laser"), ArithmeticError()]
+)
+def test_whatever_a_library_raises_names_the_file(
+    error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def read(*_: object) -> None:
+        raise error
+
+    path = WRITERS["nuScenes"][1](tmp_path).path
+    drive = open_dataset(path)
+    monkeypatch.setattr("docdepth.datasets.cloud_files.read_rows", read)
+    with pytest.raises(DatasetError, match=r"LIDAR_TOP.*bin \(frame 1\) is damaged") as caught:
+        drive.sweep(1)
+    assert repr(error) in str(caught.value)
+    assert caught.value.__cause__ is error  # for whoever mends the reader
+    monkeypatch.setattr("docdepth.datasets.formats.nuscenes.read_json", read)
+    with pytest.raises(DatasetError, match=r"scene-0061 \(nuscenes\) is damaged"):
+        open_dataset(path)
 
 
 @pytest.mark.parametrize("what", ["kitti_raw", "kitti_odometry", "MulRan", "nuScenes"])

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import LidarStream
-from docdepth.datasets.files import read_bytes
+from docdepth.datasets.files import library_errors, read_bytes
 from docdepth.datasets.point_times import FIELD_NAMES as TIME_NAMES
 from docdepth.errors import DatasetError
 
@@ -81,7 +81,9 @@ class FileLidar:
 
     def read(self, index: int) -> Cloud:
         """Own sweep ``index``."""
-        return self.read_file(self.sweeps[index], f"{self.sweeps[index]} (frame {index})")
+        where = f"{self.sweeps[index]} (frame {index})"
+        with library_errors(where, "copy the sweep again"):
+            return self.read_file(self.sweeps[index], where)
 
     def files(self, index: int) -> list[Path]:
         """The file of own sweep ``index``."""

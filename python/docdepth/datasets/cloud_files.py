@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,7 +23,7 @@ from docdepth.datasets.cloud import (
     read_rows,
     rows_of,
 )
-from docdepth.datasets.files import extra, unreadable
+from docdepth.datasets.files import extra, library_errors, unreadable
 from docdepth.datasets.kitti_files import in_order
 from docdepth.datasets.times import times_of_names
 from docdepth.errors import DamagedFileError, DatasetError, InputError, RunError
@@ -142,10 +144,12 @@ def _named(table: NDArray[Any], rows: RowFormat, where: str) -> NDArray[Any]:
 
 def _read_las(file: Path, where: str, rows: RowFormat) -> Cloud:
     laspy = extra("laspy", "LAS and LAZ files need laspy and lazrs", "clouds")
-    try:
-        las = laspy.read(file)
-    except (laspy.errors.LaspyException, ValueError, RuntimeError) as error:
-        raise DatasetError(f"{where} is no whole LAS file ({error}); copy it again") from None
+    content = read_file(file)
+    # lazrs ends the process where it gets no memory for the chunks that a file tells of.
+    if content[104:105] >= b"\x80" and _chunks(content) > len(content):
+        raise DatasetError(f"{where} tells of more chunks than it has bytes; copy it again")
+    with library_errors(where, "copy it again"):
+        las = laspy.read(io.BytesIO(content))
     columns: dict[str, NDArray[Any]] = {axis: np.asarray(las[axis], "f8") for axis in "xyz"}
     columns["intensity"] = np.asarray(las.intensity, "f4")
     if "gps_time" in las.point_format.dimension_names:
@@ -153,6 +157,18 @@ def _read_las(file: Path, where: str, rows: RowFormat) -> Cloud:
     for name in las.point_format.extra_dimension_names:
         columns[name.lower()] = np.asarray(las[name])
     return cloud_from_fields(rows_of(columns), where)
+
+
+def _chunks(content: bytes) -> int:
+    """Number of chunks in the table of a LAZ file, whose place stands before the first point."""
+    try:
+        (points,) = struct.unpack_from("<I", content, 96)
+        (table,) = struct.unpack_from("<q", content, points)
+        if table == -1:  # of a writer that could not go back
+            (table,) = struct.unpack_from("<q", content, len(content) - 8)
+        return int(struct.unpack_from("<II", content, table)[1])
+    except struct.error:
+        return 0  # which laspy tells
 
 
 READERS: dict[str, Callable[[Path, str, RowFormat], Cloud]] = {

@@ -14,23 +14,22 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from docdepth.errors import CalibrationError, DatasetError, DocDepthError, MissingExtraError
 from docdepth.io.images import decode_image
-from docdepth.io.untrusted import parse_json, read_file
+from docdepth.io.untrusted import read_file
 
 _Opened = TypeVar("_Opened")
 _File = TypeVar("_File")
 _Read = TypeVar("_Read")
 _MOST_NAMED = 8  # in an error
 _MOST_TRIES = 100  # sweeps or images that are tried in place of a broken one
-JsonObject = dict[str, Any]
-"""A table of a JSON file, which may hold anything."""
 FILE = "docdepth.yaml"
 """What the files of a recording do not tell."""
 
@@ -92,12 +91,34 @@ def read_numbers(file: Path, remedy: str) -> list[float]:
         raise CalibrationError(str(error)) from None
 
 
-def read_json(file: Path, remedy: str) -> Any:
-    """The content of a JSON file."""
+def read_json(
+    file: Path, remedy: str, form: type[_Read], error: type[DocDepthError] = DatasetError
+) -> _Read:
+    """The content of a JSON file, which has this form, in pydantic's words; more is ignored."""
     try:
-        return parse_json(read_bytes(file, remedy))
-    except ValueError as error:
-        raise DatasetError(f"{file} is not whole JSON ({error}); {remedy}") from None
+        return TypeAdapter(form).validate_json(read_bytes(file, remedy))
+    except ValidationError as failed:
+        (first, *_) = failed.errors()
+        found = ": ".join([*map(str, first["loc"]), first["msg"]])
+        raise error(f"{file} is not as it should be ({found}); {remedy}") from None
+
+
+def _is_inside(path: str) -> str:
+    if not path or "\0" in path or path.startswith("/") or ".." in path.split("/"):
+        raise ValueError("it leads out of the recording")
+    return path
+
+
+class Entry(BaseModel):
+    """Part of a JSON file; a number of it is finite."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+
+PathInside = Annotated[str, AfterValidator(_is_inside)]
+Microseconds = Annotated[int, Field(ge=0, lt=9 * 10**15)]
+Seconds = Annotated[float, Field(ge=0, lt=9e9, allow_inf_nan=False)]
+"""As nanoseconds they fit into 64 bits."""
 
 
 def read_image(file: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[np.uint8]:
@@ -151,6 +172,17 @@ def read_image_of(image: ImageSource) -> NDArray[np.uint8]:
 def file_of(image: ImageSource) -> Path:
     """The file that an image is, or is in."""
     return image.file if isinstance(image, StoredImage) else image
+
+
+@contextmanager
+def library_errors(where: str, remedy: str) -> Iterator[None]:
+    """What a library raises about a file that ``where`` names is an error of docdepth."""
+    try:
+        yield
+    except (DocDepthError, OSError, MemoryError):
+        raise
+    except Exception as error:
+        raise DatasetError(f"{where} is damaged ({error!r}); {remedy}") from error
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import Literal
 
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.cloud_files import READERS
-from docdepth.datasets.files import FILE
+from docdepth.datasets.files import FILE, library_errors
 from docdepth.datasets.format import ENTRY_POINTS, Format
 from docdepth.datasets.formats import (
     argoverse2,
@@ -105,7 +105,8 @@ def open_dataset(
     wanted = None if dataset is None else _named(dataset.replace("-", "_"))
     try:
         place, found = _find_recording(path, wanted)
-        recording = found.open(place, image_size)
+        with library_errors(f"{place} ({found.name})", "copy the recording again"):
+            recording = found.open(place, image_size)
         if on_error == "stop":
             raise_together(getattr(recording, "broken", ()))
         if found.experimental:

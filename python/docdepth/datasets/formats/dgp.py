@@ -7,13 +7,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from docdepth.datasets.base import CameraStream, LidarStream
 from docdepth.datasets.cloud import Cloud, FileLidar, cloud_from_fields, rows_of
-from docdepth.datasets.files import JsonObject, read_json
+from docdepth.datasets.files import Entry, PathInside, read_json
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing
 from docdepth.datasets.pose_tables import pose_of
@@ -30,6 +32,70 @@ _MICROSECOND = 1000  # ns
 _LAST_YEAR = 2100
 
 
+class _Quaternion(Entry):
+    qw: float
+    qx: float
+    qy: float
+    qz: float
+
+
+class _Vector(Entry):
+    x: float
+    y: float
+    z: float
+
+
+class _Pose(Entry):
+    rotation: _Quaternion
+    translation: _Vector
+
+
+class _Intrinsics(Entry):
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    skew: float = 0.0
+
+
+class _Calibration(Entry):
+    names: list[str]
+    extrinsics: list[_Pose]
+    intrinsics: list[_Intrinsics]
+
+
+class _About(Entry):
+    filename: PathInside
+    point_format: tuple[Annotated[str, Field(min_length=1)], ...] = ()
+    width: int = 0
+    height: int = 0
+    pose: _Pose | None = None
+
+
+class _Kinds(Entry):
+    point_cloud: _About | None = None
+    image: _About | None = None
+
+
+class _Id(Entry):
+    name: str
+    timestamp: str
+
+
+class _Datum(Entry):
+    id: _Id
+    datum: _Kinds
+
+
+class _Sample(Entry):
+    calibration_key: PathInside
+
+
+class _Scene(Entry):
+    data: list[_Datum]
+    samples: list[_Sample]
+
+
 @dataclass(frozen=True)
 class Datum:
     """A sweep or an image of a scene."""
@@ -38,7 +104,7 @@ class Datum:
     kind: str  # ``point_cloud`` or ``image``
     time: int  # nanoseconds
     file: Path
-    entry: JsonObject  # what the scene says of it
+    entry: _About  # what the scene says of it
 
 
 def read_sweep(file: Path, where: str, columns: dict[Path, list[str]]) -> Cloud:
@@ -63,15 +129,12 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
     """
     settings = read_settings(path, RecordingSettings)
     file = _scene_file(path)
-    scene = read_json(file, _COPY)
-    try:
-        data = list(_data(path, scene, file))
-        keys = {str(sample["calibration_key"]) for sample in scene["samples"]}
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DatasetError(f"{file} is no scene of DGP ({error!r}); {_COPY}") from None
+    scene = read_json(file, _COPY, _Scene)
+    data = list(_data(path, scene, file))
+    keys = {sample.calibration_key for sample in scene.samples}
     if len(keys) != 1:
         raise CalibrationError(f"{file} has {len(keys)} calibrations; docdepth reads one")
-    calibration = _Calibration(path / "calibration" / f"{keys.pop()}.json")
+    calibration = _Sensors(path / "calibration" / f"{keys.pop()}.json")
     names = list(dict.fromkeys(datum.name for datum in data))
     by_name = {n: sorted((d for d in data if d.name == n), key=lambda d: d.time) for n in names}
     clouds = {name: own for name, own in by_name.items() if own[0].kind == "point_cloud"}
@@ -83,7 +146,7 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
     for name, own in clouds.items():
         T = np.eye(4) if name == first else inverse(T_ego_lidar) @ calibration.place(name)
         stream = LidarStream(name, _times(own, file), [d.file.stem for d in own], T)
-        columns = {d.file: [str(c).lower() for c in d.entry.get("point_format", [])] for d in own}
+        columns = {d.file: [c.lower() for c in d.entry.point_format] for d in own}
         lidars.append(
             FileLidar(stream, [d.file for d in own], partial(read_sweep, columns=columns))
         )
@@ -92,47 +155,44 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
         for name, own in by_name.items()
         if own[0].kind == "image"
     }
-    poses = [_pose(d.entry["pose"], f"{file}, {d.file.name}") for d in clouds[first]]
+    poses = [_pose(d.entry.pose, f"{file}, {d.file.name}") for d in clouds[first]]
     return Recording("dgp", path, lidars, cameras, np.stack(poses), settings)
 
 
-class _Calibration:
+class _Sensors:
     """Intrinsics and extrinsics of a scene's sensors."""
 
     def __init__(self, file: Path) -> None:
         self.file = file
-        self._entries = read_json(file, _COPY)
+        self._known = read_json(file, _COPY, _Calibration, CalibrationError)
 
-    def _of(self, what: str, name: str) -> JsonObject:
-        try:
-            found = self._entries[what][self._entries["names"].index(name)]
-            return dict(found)
-        except (KeyError, ValueError, IndexError, TypeError, AttributeError):
-            raise CalibrationError(f"{self.file} has no {what} of {name}; {_COPY}") from None
+    def _number(self, name: str) -> int:
+        known = self._known
+        if not (name in known.names and len(known.names) == len(known.extrinsics)
+                == len(known.intrinsics)):  # fmt: skip
+            raise CalibrationError(f"{self.file} has no place of {name}; {_COPY}")
+        return known.names.index(name)
 
     def place(self, name: str) -> NDArray[np.float64]:
         """``T_ego_sensor`` (4, 4)."""
-        return _pose(self._of("extrinsics", name), f"{self.file}, {name}")
+        return _pose(self._known.extrinsics[self._number(name)], f"{self.file}, {name}")
 
     def camera(self, name: str, width: int, height: int) -> Camera:
         """The camera of a sensor."""
-        known = self._of("intrinsics", name)
-        if known.get("skew"):
+        known = self._known.intrinsics[self._number(name)]
+        if known.skew:
             raise CalibrationError(f"{self.file}: {name} has skew; rectify its images")
-        K = [[known["fx"], 0, known["cx"]], [0, known["fy"], known["cy"]], [0, 0, 1]]
+        K = [[known.fx, 0, known.cx], [0, known.fy, known.cy], [0, 0, 1]]
         return Camera(np.array(K, np.float64), width, height)
 
 
-def _data(path: Path, scene: JsonObject, file: Path) -> Iterator[Datum]:
+def _data(path: Path, scene: _Scene, file: Path) -> Iterator[Datum]:
     """Sweeps and images in the order of the scene."""
-    for entry in scene["data"]:
-        for kind in ("point_cloud", "image"):
-            if kind in entry["datum"]:
-                about = entry["datum"][kind]
-                time = _nanoseconds(str(entry["id"]["timestamp"]), file)
-                yield Datum(
-                    str(entry["id"]["name"]), kind, time, path / str(about["filename"]), about
-                )
+    for entry in scene.data:
+        for kind, about in (("point_cloud", entry.datum.point_cloud), ("image", entry.datum.image)):
+            if about is not None:
+                time = _nanoseconds(entry.id.timestamp, file)
+                yield Datum(entry.id.name, kind, time, path / about.filename, about)
 
 
 def _nanoseconds(text: str, file: Path) -> int:
@@ -155,14 +215,14 @@ def _times(data: list[Datum], file: Path) -> NDArray[np.int64]:
 def _camera(
     name: str,
     data: list[Datum],
-    calibration: _Calibration,
+    calibration: _Sensors,
     T_ego_lidar: NDArray[np.float64],
     file: Path,
 ) -> CameraStream:
     images = [datum.file for datum in data]
     return CameraStream(
         name,
-        calibration.camera(name, int(data[0].entry["width"]), int(data[0].entry["height"])),
+        calibration.camera(name, data[0].entry.width, data[0].entry.height),
         inverse(calibration.place(name)) @ T_ego_lidar,
         _times(data, file),
         [image.stem for image in images],
@@ -170,9 +230,11 @@ def _camera(
     )
 
 
-def _pose(entry: JsonObject, where: str) -> NDArray[np.float64]:
-    quaternion = (entry["rotation"][f"q{axis}"] for axis in "wxyz")
-    return pose_of(quaternion, (entry["translation"][axis] for axis in "xyz"), where)
+def _pose(entry: _Pose | None, where: str) -> NDArray[np.float64]:
+    if entry is None:
+        raise DatasetError(f"{where} has no pose; {_COPY}")
+    q, t = entry.rotation, entry.translation
+    return pose_of((q.qw, q.qx, q.qy, q.qz), (t.x, t.y, t.z), where)
 
 
 def _scene_file(path: Path) -> Path:

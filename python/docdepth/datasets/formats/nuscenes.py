@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import CameraStream, LidarStream
 from docdepth.datasets.cloud import Cloud, FileLidar, packed
 from docdepth.datasets.cloud_files import MICROSECOND, read_stamped
-from docdepth.datasets.files import JsonObject, one_of, read_json
+from docdepth.datasets.files import Entry, Microseconds, PathInside, one_of, read_json
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing
 from docdepth.datasets.pose_tables import pose_of
@@ -34,23 +34,59 @@ _ROWS = packed(x="f4", y="f4", z="f4", intensity="f4", ring="f4")
 _T_LIDAR_THEIRS = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
 
 
+class _Row(Entry):
+    token: str
+
+
+class _Scene(_Row):
+    name: str
+
+
+class _Sample(_Row):
+    scene_token: str
+
+
+class _Sensor(_Row):
+    channel: str
+
+
+class _Pose(_Row):
+    rotation: list[float]
+    translation: list[float]
+
+
+class _Place(_Pose):
+    sensor_token: str
+    camera_intrinsic: list[tuple[float, float, float]]
+
+
+class _Datum(_Row):
+    sample_token: str
+    ego_pose_token: str
+    calibrated_sensor_token: str
+    timestamp: Microseconds
+    filename: PathInside
+    width: int = 0
+    height: int = 0
+
+
+_Kind = TypeVar("_Kind", bound=_Row)
+
+
 @dataclass(frozen=True)
 class Tables:
     """The tables of a version of nuScenes."""
 
     folder: Path  # ``ROOT/v1.0-mini`` or the like
 
-    def rows(self, name: str) -> list[JsonObject]:
+    def rows(self, name: str, kind: type[_Kind]) -> list[_Kind]:
         """All rows of a table."""
-        rows = read_json(self.folder / f"{name}.json", _UNPACK)
-        if not isinstance(rows, list) or not all(isinstance(r, dict) for r in rows):
-            raise DatasetError(f"{self.folder / name}.json is no table of nuScenes; {_UNPACK}")
-        return rows
+        return read_json(self.folder / f"{name}.json", _UNPACK, list[kind])  # type: ignore[valid-type]
 
-    def by_token(self, name: str, tokens: Iterable[str]) -> dict[str, JsonObject]:
+    def by_token(self, name: str, kind: type[_Kind], tokens: Iterable[str]) -> dict[str, _Kind]:
         """Rows of these tokens."""
         wanted = set(tokens)
-        found = {row["token"]: row for row in self.rows(name) if row.get("token") in wanted}
+        found = {row.token: row for row in self.rows(name, kind) if row.token in wanted}
         lacking = sorted(wanted - found.keys())
         if lacking:
             raise DatasetError(f"{self.folder / name}.json lacks {lacking[0]}; {_UNPACK}")
@@ -59,7 +95,7 @@ class Tables:
     @cached_property
     def scenes(self) -> dict[str, str]:
         """Token of each scene by its name."""
-        return {row["name"]: row["token"] for row in self.rows("scene")}
+        return {row.name: row.token for row in self.rows("scene", _Scene)}
 
 
 class NuscenesSettings(RecordingSettings):
@@ -95,12 +131,14 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
             f"say lidar: NAME in {settings.file}, or {_UNPACK}"
         )
     rows = [row for channel in channels.values() for row in channel]
-    places = tables.by_token("calibrated_sensor", {row["calibrated_sensor_token"] for row in rows})
+    places = tables.by_token(
+        "calibrated_sensor", _Place, {row.calibrated_sensor_token for row in rows}
+    )
     lidar = channels[settings.lidar]
-    place = places[lidar[0]["calibrated_sensor_token"]]
+    place = places[lidar[0].calibrated_sensor_token]
     T_ego_lidar = _pose(place, tables, "calibrated_sensor") @ inverse(_T_LIDAR_THEIRS)
-    ego = tables.by_token("ego_pose", {row["ego_pose_token"] for row in lidar})
-    T_world_ego = [_pose(ego[row["ego_pose_token"]], tables, "ego_pose") for row in lidar]
+    ego = tables.by_token("ego_pose", _Pose, {row.ego_pose_token for row in lidar})
+    T_world_ego = [_pose(ego[row.ego_pose_token], tables, "ego_pose") for row in lidar]
     cameras = {
         name: _camera(root, name, rows, places, tables, T_ego_lidar)
         for name, rows in channels.items()
@@ -124,21 +162,23 @@ def _find_scene(root: Path, name: str | None) -> tuple[Tables, str]:
     return scenes[name], scenes[name].scenes[name]
 
 
-def _channels(tables: Tables, scene: str) -> dict[str, list[JsonObject]]:
+def _channels(tables: Tables, scene: str) -> dict[str, list[_Datum]]:
     """Rows of ``sample_data`` of a scene by sensor, in the order of time."""
-    samples = {row["token"] for row in tables.rows("sample") if row["scene_token"] == scene}
-    rows = [row for row in tables.rows("sample_data") if row["sample_token"] in samples]
-    places = tables.by_token("calibrated_sensor", {row["calibrated_sensor_token"] for row in rows})
-    sensors = tables.by_token("sensor", {place["sensor_token"] for place in places.values()})
-    channels: dict[str, list[JsonObject]] = {}
-    for row in sorted(rows, key=lambda row: int(row["timestamp"])):
-        place = places[row["calibrated_sensor_token"]]
-        channels.setdefault(sensors[place["sensor_token"]]["channel"], []).append(row)
+    samples = {row.token for row in tables.rows("sample", _Sample) if row.scene_token == scene}
+    rows = [row for row in tables.rows("sample_data", _Datum) if row.sample_token in samples]
+    places = tables.by_token(
+        "calibrated_sensor", _Place, {row.calibrated_sensor_token for row in rows}
+    )
+    sensors = tables.by_token("sensor", _Sensor, {place.sensor_token for place in places.values()})
+    channels: dict[str, list[_Datum]] = {}
+    for row in sorted(rows, key=lambda row: row.timestamp):
+        place = places[row.calibrated_sensor_token]
+        channels.setdefault(sensors[place.sensor_token].channel, []).append(row)
     return channels
 
 
-def _lidar(root: Path, name: str, rows: list[JsonObject], tables: Tables) -> FileLidar:
-    files = [root / row["filename"] for row in rows]
+def _lidar(root: Path, name: str, rows: list[_Datum], tables: Tables) -> FileLidar:
+    files = [root / row.filename for row in rows]
     lacking = [file for file in files if not file.is_file()]
     if lacking:
         raise DatasetError(
@@ -153,24 +193,24 @@ def _lidar(root: Path, name: str, rows: list[JsonObject], tables: Tables) -> Fil
 def _camera(
     root: Path,
     name: str,
-    rows: list[JsonObject],
-    places: dict[str, JsonObject],
+    rows: list[_Datum],
+    places: dict[str, _Place],
     tables: Tables,
     T_ego_lidar: NDArray[np.float64],
 ) -> CameraStream:
-    place = places[rows[0]["calibrated_sensor_token"]]
-    K = np.array(place["camera_intrinsic"], np.float64)
+    place = places[rows[0].calibrated_sensor_token]
+    K = np.array(place.camera_intrinsic, np.float64)
     if K.shape != (3, 3):
         raise CalibrationError(
             f"{tables.folder / 'calibrated_sensor.json'}: {name} has no intrinsics; {_UNPACK}"
         )
-    images = [root / row["filename"] for row in rows]
+    images = [root / row.filename for row in rows]
     names = [image.stem for image in images]
     return CameraStream(
         name,
         camera_of(
             K,
-            (int(rows[0]["width"]), int(rows[0]["height"])),
+            (rows[0].width, rows[0].height),
             f"{tables.folder / 'calibrated_sensor.json'}, {name}",
         ),
         inverse(_pose(place, tables, "calibrated_sensor")) @ T_ego_lidar,
@@ -180,15 +220,15 @@ def _camera(
     )
 
 
-def _times(rows: list[JsonObject], names: list[str], tables: Tables) -> NDArray[np.int64]:
-    times = np.array([int(row["timestamp"]) for row in rows], np.int64) * MICROSECOND
+def _times(rows: list[_Datum], names: list[str], tables: Tables) -> NDArray[np.int64]:
+    times = np.array([row.timestamp for row in rows], np.int64) * MICROSECOND
     check_increasing(times, names, tables.folder / "sample_data.json")
     return times
 
 
-def _pose(row: JsonObject, tables: Tables, table: str) -> NDArray[np.float64]:
-    where = f"{tables.folder / table}.json, {row['token']}"
-    return pose_of(row["rotation"], row["translation"], where)
+def _pose(row: _Pose, tables: Tables, table: str) -> NDArray[np.float64]:
+    where = f"{tables.folder / table}.json, {row.token}"
+    return pose_of(row.rotation, row.translation, where)
 
 
 def _versions(root: Path) -> list[Path]:

@@ -7,14 +7,14 @@ import io
 import pickle
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
 from docdepth.datasets.cloud import Cloud, FileLidar, cloud_from_fields, rows_of
-from docdepth.datasets.files import extra, read_bytes, read_json
+from docdepth.datasets.files import Entry, Seconds, extra, read_bytes, read_json
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing, image_files, image_size, in_order
 from docdepth.datasets.pose_tables import pose_of
@@ -58,6 +58,31 @@ _EXTRINSICS = {
         (-0.23097163411257893, -0.30843497058841024, -0.6850441215571058),
     ),
 }
+
+
+class _Vector(Entry):
+    x: float
+    y: float
+    z: float
+
+
+class _Quaternion(_Vector):
+    w: float
+
+
+class _Pose(Entry):
+    heading: _Quaternion
+    position: _Vector
+
+
+class _Intrinsics(Entry):
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+_Kind = TypeVar("_Kind")
 # What the pickle of a table of numbers is made of. Others could run programs.
 _HARMLESS = {
     "pandas": {
@@ -99,8 +124,13 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
     names = [sweep.name.removesuffix(".pkl.gz") for sweep in sweeps]
     times = _times(front / "timestamps.json", len(sweeps), "sweeps")
     file = front / "poses.json"
-    entries = _entries(file, len(sweeps), "sweeps")
-    poses = [_pose(entry, f"{file}, entry {k}") for k, entry in enumerate(entries)]
+    poses = [
+        pose_of((q.w, q.x, q.y, q.z), (t.x, t.y, t.z), f"{file}, entry {k}")
+        for k, (q, t) in enumerate(
+            (entry.heading, entry.position)
+            for entry in _entries(file, _Pose, len(sweeps), "sweeps")
+        )
+    ]
     cameras = {
         name: _camera(path / "camera" / name)
         for name in _EXTRINSICS
@@ -137,8 +167,6 @@ def read_table(file: Path, where: str) -> dict[str, NDArray[Any]]:
         table = Careful(io.BytesIO(inflated)).load()
     except (OSError, EOFError, zlib.error, pickle.UnpicklingError) as error:
         raise DatasetError(f"{where} is no whole table of pandas ({error}); {_COPY}") from None
-    except Exception as error:  # a damaged pickle may fail in any way
-        raise DatasetError(f"{where} is damaged ({error!r}); {_COPY}") from None
     if not isinstance(table, pandas.DataFrame):
         raise DatasetError(f"{where} holds no table of pandas; {_COPY}")
     columns = {str(name): table[name].to_numpy() for name in table.columns}
@@ -147,44 +175,31 @@ def read_table(file: Path, where: str) -> dict[str, NDArray[Any]]:
     return columns
 
 
-def _entries(file: Path, count: int, what: str) -> list[Any]:
+def _entries(file: Path, kind: type[_Kind], count: int, what: str) -> list[_Kind]:
     """A list of JSON with an entry for each sweep or image."""
-    entries = read_json(file, _COPY)
-    if not isinstance(entries, list) or len(entries) != count or not count:
-        found = len(entries) if isinstance(entries, list) else "no list of"
-        raise DatasetError(f"{file} has {found} entries for {count} {what}; {_COPY}")
+    entries = read_json(file, _COPY, list[kind])  # type: ignore[valid-type]
+    if len(entries) != count or not count:
+        raise DatasetError(f"{file} has {len(entries)} entries for {count} {what}; {_COPY}")
     return entries
 
 
 def _times(file: Path, count: int, what: str) -> NDArray[np.int64]:
-    try:
-        seconds = np.array([float(entry) for entry in _entries(file, count, what)])
-    except (TypeError, ValueError):
-        raise DatasetError(f"{file} must be seconds; {_COPY}") from None
+    seconds = np.array(_entries(file, Seconds, count, what))
     times = np.round(seconds * 1e9).astype(np.int64)
     check_increasing(times, [f"entry {k}" for k in range(count)], file)
     return times
 
 
-def _pose(entry: Any, where: str) -> NDArray[np.float64]:
-    heading = (entry["heading"][axis] for axis in "wxyz")
-    return pose_of(heading, (entry["position"][axis] for axis in "xyz"), where)
-
-
 def _camera(folder: Path) -> CameraStream:
     file = folder / "intrinsics.json"
-    known = read_json(file, _COPY)
-    try:
-        fx, fy, cx, cy = (float(known[name]) for name in ("fx", "fy", "cx", "cy"))
-    except (KeyError, TypeError, ValueError) as error:
-        raise CalibrationError(f"{file} has no fx, fy, cx, cy ({error!r}); {_COPY}") from None
+    known = read_json(file, _COPY, _Intrinsics, CalibrationError)
     images = image_files(folder)
     stamps = folder / "timestamps.json"
-    count = len(images) or len(read_json(stamps, _COPY))
+    count = len(images) or len(read_json(stamps, _COPY, list[Seconds]))
     return CameraStream(
         folder.name,
         Camera(
-            np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
+            np.array([[known.fx, 0, known.cx], [0, known.fy, known.cy], [0, 0, 1]]),
             *(image_size(images) or _SIZE),
         ),
         T_camera_lidar(folder.name),
