@@ -18,6 +18,7 @@ from docdepth.geometry.se3 import inverse, poses_from, rotation_exp
 from docdepth.io.poses import read_poses, write_kitti
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.run_inputs import find_ray_origin, find_up
+from exact_drive import Drive
 from small_drive import SWEEPS, write_small_drive
 from walled_yard import pose, scan, straight
 
@@ -171,15 +172,17 @@ class _Made:
 
     name, poses, cameras, path = "made", None, {}, Path("made")
 
-    def __init__(self, clouds: list[np.ndarray]) -> None:
-        self._clouds, self.times = clouds, np.arange(len(clouds)) * 10**8
+    def __init__(self, clouds: list[np.ndarray], ring: np.ndarray | None = None) -> None:
+        self._clouds, self._ring = clouds, ring
+        self.times = np.arange(len(clouds)) * 10**8
         self.lidars: dict = {}
 
     def __len__(self) -> int:
         return len(self._clouds)
 
     def sweep(self, index: int) -> Sweep:
-        return Sweep(self._clouds[index].astype(np.float32), f"{index}", int(self.times[index]))
+        points = self._clouds[index].astype(np.float32)
+        return Sweep(points, f"{index}", int(self.times[index]), ring=self._ring)
 
     def sweep_files(self, index: int) -> list[Path]:
         return []
@@ -207,6 +210,17 @@ def test_where_the_rays_begin_is_found_for_points_in_the_frame_of_the_vehicle():
     assert (np.abs(np.array(found.places[0]) - PLACE) < (0.2, 0.2, 0.8)).all(), (
         "a bare yard hardly tells height"
     )
+
+
+def test_rings_tell_where_the_rays_begin():
+    """Height too, which neighbours hardly tell, and though the axis leans."""
+    drive, turn = Drive(4), rotation_exp(np.radians([4.0, 9.0, 0.0]))
+    ring = np.repeat(np.arange(24, dtype=np.uint16), 360)
+    clouds = [drive.sweep(k).points for k in range(4)]
+    moved = [np.where(c.any(axis=1)[:, None], c @ turn.T + PLACE, 0) for c in clouds]
+    found = estimate_sensor_origin(_Made(moved, ring))
+    assert found is not None
+    np.testing.assert_allclose(found.places, [PLACE], atol=0.2)
 
 
 def test_a_run_of_points_in_the_frame_of_the_vehicle(tmp_path, caplog):

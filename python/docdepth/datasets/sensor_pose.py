@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -142,11 +143,17 @@ LEAST_IN_TRIANGLES = 0.75
 _ALWAYS_LONELY = 0.01  # share of returns that nothing is known of
 _PER_METRE, _PER_SPREAD = 0.06, 0.25  # fewer lonely returns, relatively, make up for them
 _RAYS, _NEAREST = 1500, 1.0  # that are asked for the ray next to them; metres
+_OF_RING, _ON_CIRCLES = 100, 0.002
+"""Points of a ring that are asked; how far their directions may be from a plane: those of sweeps
+that are compensated for motion are farther."""
 _ORIGIN = (0.0, 0.0, 0.0)
 _LESS_LONELY = 0.8  # times the lonely returns of one mesh: then there are several LiDARs
 _ORIGIN_SAMPLES, _FEWEST = 2, 500  # sweeps, and points of one; fewer tell nothing
 _HEIGHTS = (0.0, 1.0, 2.0)  # metres above the origin, where a search may start
 _STEPS = (1.0, 0.5, 0.25, 0.1)  # metres
+_FINE_STEPS = (*_STEPS, 0.05, 0.02)
+_AXES = np.concatenate([np.eye(3), -np.eye(3)])
+_ALL_WAYS = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3)))
 _FARTHEST = 4.0  # metres from the origin along each axis: no LiDAR sits farther from its vehicle's
 
 
@@ -170,6 +177,10 @@ def estimate_sensor_origin(recording: Dataset) -> SensorOrigin | None:
     each other: even from one place they are less lonely in meshes of their own. Parts of what one
     LiDAR measured are not.
 
+    If points have ring numbers, these decide: the directions of a ring lie on a circle as seen from
+    the LiDAR, and from nowhere else. Rings of several LiDARs do not, nor do lines that no mirror
+    turns on a cone.
+
     Returns
     -------
     SensorOrigin or None
@@ -178,19 +189,26 @@ def estimate_sensor_origin(recording: Dataset) -> SensorOrigin | None:
     """
     if recording.sweep(0).sensor_rig is not None:
         return None
-    clouds = []
+    clouds, rings = [], []
     for k in sorted(
         {int(k) for k in np.linspace(0, len(recording) - 1, _ORIGIN_SAMPLES + 2)[1:-1]}
     ):
-        measured = recording.sweep(k).points
-        points = np.ascontiguousarray(measured[usable_points(measured)])
-        clouds += [points] if len(points) > _FEWEST else []
+        sweep = recording.sweep(k)
+        usable = usable_points(sweep.points)
+        if usable.sum() > _FEWEST:
+            clouds.append(np.ascontiguousarray(sweep.points[usable]))
+            rings += [] if sweep.ring is None else _rings(clouds[-1], sweep.ring[usable])
     if not clouds:
         return None
     at_origin = _share(clouds, _ORIGIN)
     if at_origin >= LEAST_IN_TRIANGLES:
         return None
-    place = _best_place(clouds)
+    if rings:
+        circles = np.stack(rings).astype(np.float64)
+        place = _best_place(lambda place: _off_circles(circles, place), _FINE_STEPS, _ALL_WAYS)
+        if _off_circles(circles, place) < _ON_CIRCLES:
+            return SensorOrigin([place], _share(clouds, place), at_origin)
+    place = _best_place(lambda place: _loneliness(clouds, place), _STEPS, _AXES)
     best = SensorOrigin([place], _share(clouds, place), at_origin)
     places = find_lidars(clouds, place) if len(clouds) == _ORIGIN_SAMPLES else [place]
     if len(places) == 1:
@@ -213,34 +231,44 @@ def _share_apart(clouds: list[Cloud], places: list[Place], ends: list[NDArray[np
     return float(np.mean(shares))
 
 
-def _best_place(clouds: list[Cloud]) -> Place:
-    """By steps that become finer, from the best of some places above the origin."""
-    known: dict[Place, float] = {}
-    place = min(((0.0, 0.0, z) for z in _HEIGHTS), key=lambda p: _known(clouds, p, known))
-    for step in _STEPS:
+def _best_place(
+    value: Callable[[Place], float], steps: Sequence[float], ways: NDArray[np.float64]
+) -> Place:
+    """Where the value is least, by steps that become finer, from the best of some places."""
+    known = cache(value)
+    place = min(((0.0, 0.0, z) for z in _HEIGHTS), key=known)
+    for step in steps:
         while True:
-            ways = itertools.product(range(3), (-step, step))
-            around = [_moved(place, axis, by) for axis, by in ways]
-            best = min(around, key=lambda p: _known(clouds, p, known))
-            if known[best] >= _known(clouds, place, known) or np.abs(best).max() > _FARTHEST:
+            around = (np.array(place) + step * ways).round(3)
+            best = min(((x, y, z) for x, y, z in around.tolist()), key=known)
+            if known(best) >= known(place) or np.abs(best).max() > _FARTHEST:
                 break
             place = best
     return place
 
 
-def _moved(place: Place, axis: int, by: float) -> Place:
-    x, y, z = (round(value + by * (k == axis), 3) for k, value in enumerate(place))
-    return x, y, z
-
-
-def _known(clouds: list[Cloud], place: Place, known: dict[Place, float]) -> float:
+def _loneliness(clouds: list[Cloud], place: Place) -> float:
     """Logarithm of the share of lonely returns, and a little for what decides between equals."""
-    if place not in known:
-        lonely = 1 - _share(clouds, place) + _ALWAYS_LONELY
-        spread = float(np.mean([_spread(cloud, place) for cloud in clouds]))
-        little = _PER_SPREAD * spread + _PER_METRE * float(np.linalg.norm(place))
-        known[place] = float(np.log(lonely)) + little
-    return known[place]
+    lonely = 1 - _share(clouds, place) + _ALWAYS_LONELY
+    spread = float(np.mean([_spread(cloud, place) for cloud in clouds]))
+    little = _PER_SPREAD * spread + _PER_METRE * float(np.linalg.norm(place))
+    return float(np.log(lonely)) + little
+
+
+def _rings(cloud: Cloud, ring: NDArray[np.uint16]) -> list[Cloud]:
+    """As many of the points of each ring, evenly spaced in it."""
+    order = np.argsort(ring, kind="stable")
+    of_rings = np.split(cloud[order], np.flatnonzero(np.diff(ring[order])) + 1)
+    return [own[np.linspace(0, len(own) - 1, _OF_RING).astype(int)] for own in of_rings]
+
+
+def _off_circles(rings: NDArray[np.float64], place: Place) -> float:
+    """How far directions are from the plane through those of their ring, root mean square."""
+    rays = rings - place
+    rays /= np.maximum(np.linalg.norm(rays, axis=2, keepdims=True), _NEAREST)
+    rays -= rays.mean(axis=1, keepdims=True)
+    off = np.linalg.eigvalsh(rays.transpose(0, 2, 1) @ rays)[:, 0]
+    return float(np.sqrt(np.maximum(off, 0).mean() / _OF_RING))
 
 
 def _share(clouds: list[Cloud], place: Place) -> float:
