@@ -42,7 +42,8 @@ def test_arrays_in_any_order_of_memory(tmp_path: Path, suffix: str) -> None:
         pytest.importorskip("OpenEXR")
     depth, path = np.rint(256 * depth_map()) / 256, tmp_path / f"depth{suffix}"
     masked = np.ma.masked_array(depth, depth > 50)
-    for other in (np.asfortranarray(depth), np.repeat(depth, 2, axis=1)[:, ::2], depth[::-1, ::-1]):
+    for other in (np.asfortranarray(depth), np.repeat(depth, 2, axis=1)[:, ::2], depth[::-1, ::-1],
+                  depth.astype(np.float64), depth.astype(">f4")):  # fmt: skip
         write_depth(path, other)
         np.testing.assert_array_equal(read_depth(path), other)
     write_depth(path, masked)
@@ -77,7 +78,7 @@ def test_values_shapes_and_names_are_checked(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="row 1, column 0"):
             encode_depth(np.array([[5, 5], [value, 5]], np.float32))
     with pytest.raises(InputError, match="float32"):
-        encode_depth(np.ones((2, 2)))  # type: ignore[arg-type]
+        encode_depth(np.ones((2, 2), np.uint16))  # type: ignore[arg-type]  # of which unit?
     with pytest.raises(InputError, match=r"\.npz, .*, not '\.bmp'"):
         write_depth(tmp_path / "depth.bmp", np.ones((2, 2), np.float32))
 

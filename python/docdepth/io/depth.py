@@ -330,6 +330,9 @@ def _checked(depth: NDArray[np.float32]) -> NDArray[np.float32]:
     if isinstance(depth, np.ma.MaskedArray) and depth.dtype.kind == "f":
         depth = depth.filled(np.nan)
     depth = np.ascontiguousarray(depth)
+    if depth.dtype.kind == "f":
+        with np.errstate(over="ignore"):
+            depth = depth.astype(np.float32, copy=False)
     if depth.ndim != 2 or depth.dtype != np.float32 or not depth.size:
         raise InputError(
             f"a depth map is float32 metres of shape (h, w); got {depth.dtype} {depth.shape}"
