@@ -11,9 +11,11 @@ import shutil
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -285,15 +287,27 @@ def test_workers_of_a_dask_cluster_make_what_one_makes(
     assert results(tmp_path / "run") == results(whole)
 
 
+@pytest.mark.parametrize("greeting", [b"", b"SSH-2.0-OpenSSH_9.6\r\n", bytes(64), b"220 "])
 def test_a_program_that_is_no_scheduler(
-    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, greeting: bytes
 ) -> None:
+    """It waits to be spoken to, or greets."""
     pytest.importorskip("distributed")
     monkeypatch.setattr(parallel, "_ANSWERS_WITHIN", 0.2)
+    answered: list[socket.socket] = []
+
+    def greet() -> None:
+        with suppress(OSError):
+            answered.append(other.accept()[0])
+            answered[0].sendall(greeting)
+
     with socket.create_server(("127.0.0.1", 0)) as other:
+        threading.Thread(target=greet, daemon=True).start()
         address = f"tcp://127.0.0.1:{other.getsockname()[1]}"
         with pytest.raises(RunError, match=f"no Dask scheduler at {address}"):
             run(drive, tmp_path / "run", camera="all", scheduler=address)
+    for one in answered:
+        one.close()
 
 
 def test_a_scheduler_that_is_not_there(drive: Path, tmp_path: Path) -> None:

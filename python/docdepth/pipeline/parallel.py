@@ -16,6 +16,7 @@ import os
 import re
 import signal
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
@@ -49,6 +50,7 @@ _TASKS_PER_WORKER = 2
 whole drive would fill the memory."""
 
 _ANSWERS_WITHIN = 10.0
+_LONGEST_GREETING = 1 << 20  # bytes
 """A scheduler begins to speak as soon as somebody calls [s]."""
 
 _Item = TypeVar("_Item")
@@ -326,7 +328,7 @@ def _connect(address: str) -> Any:
     try:
         _hear_from(address)
         client = Client(address, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
+    except Exception as error:  # of Dask, of the network, of what a stranger answers
         raise RunError(
             f"there is no Dask scheduler at {address} ({error})", "start one: dask scheduler"
         ) from None
@@ -336,7 +338,9 @@ def _connect(address: str) -> Any:
 
 
 def _hear_from(address: str) -> None:
-    """Refuse an address at which nobody speaks first: Dask would wait for ever.
+    """Refuse an address at which Dask would wait for ever, or take memory for any greeting.
+
+    A scheduler speaks first: eight bytes tell how many follow.
 
     Raises
     ------
@@ -346,5 +350,6 @@ def _hear_from(address: str) -> None:
     if place is None:  # of another protocol, or no address: Dask says which
         return
     with socket.create_connection((place[1], int(place[2])), _ANSWERS_WITHIN) as caller:
-        if not caller.recv(1):
-            raise OSError("the connection was closed without an answer")
+        length = caller.makefile("rb").read(8)
+        if not 8 < int.from_bytes(length, sys.byteorder) < _LONGEST_GREETING:
+            raise OSError(f"it answers {length!r}, as no scheduler does")
