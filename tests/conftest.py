@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from command_line import cli
+from docdepth.geometry import ground_plane
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry import first_motion
 from true_drive import write_true_drive
@@ -69,14 +70,23 @@ def drive_9001(kitti: Path) -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def coarse_search() -> Iterator[None]:
-    """Seek first motions in four directions and steps of half a metre: in all of them they are most
-    of the time of a small run.
+    """Seek first motions in four directions and steps of half a metre, and the ground among 400
+    planes: else they are most of the time of a small run.
 
-    Tests of the odometry seek them in all.
+    Tests of the odometry seek motions in all directions.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(first_motion, "_DIRECTIONS", first_motion._DIRECTIONS[::9])
         patch.setattr(first_motion, "_SPEEDS", first_motion._SPEEDS[::2])
+        patch.setattr(ground_plane, "_TRIALS", 400)
+        yield
+
+
+@pytest.fixture(scope="module")
+def whole_ground_search() -> Iterator[None]:
+    """For tests of the ground: seek it among all planes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ground_plane, "_TRIALS", 2000)
         yield
 
 

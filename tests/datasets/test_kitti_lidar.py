@@ -16,6 +16,8 @@ from docdepth.pipeline import run_classify, run_odometry, run_render
 from docdepth.synthetic import scene, sensor, sensors, write_drive
 from docdepth.synthetic.drive import Drive
 
+pytestmark = pytest.mark.usefixtures("whole_ground_search")
+
 CITY = scene("city", 1)
 
 

@@ -20,6 +20,8 @@ from docdepth.geometry.ground_plane import find_ground, level_turn
 from docdepth.geometry.se3 import inverse
 from walled_yard import pose, scan
 
+pytestmark = pytest.mark.usefixtures("whole_ground_search")
+
 
 def _street() -> np.ndarray:
     points = Recorded().sweep(0).points

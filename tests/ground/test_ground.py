@@ -14,6 +14,8 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground import growing
 from docdepth.ground.growing import GroundMap, chunks, grow_ground
 
+pytestmark = pytest.mark.usefixtures("whole_ground_search")
+
 PAPER = parameters("paper").ground
 COARSE_GROUND = {"voxel_size": 0.1, "plane_distance": 0.1}
 COARSE = PAPER.model_copy(update=COARSE_GROUND)

@@ -22,6 +22,8 @@ from exact_drive import Drive
 from small_drive import SWEEPS, write_small_drive
 from walled_yard import pose, scan, straight
 
+pytestmark = pytest.mark.usefixtures("whole_ground_search")
+
 POSES = straight(SWEEPS, 0.5).poses
 
 
