@@ -163,6 +163,13 @@ def _even(top: float, bottom: float, rings: int, columns: int) -> Callable[[int]
     return _spinning(np.radians(np.linspace(top, bottom, rings)), columns)
 
 
+def _pandar40p() -> Callable[[int], Pattern]:
+    """Hesai's Pandar40P: 0.33 degrees from ring to ring ahead, 1 to 6 above and below."""
+    middle, below = np.linspace(2.0, -6.0, 25), np.arange(-7.0, -15.0, -1.0)
+    elevations = np.concatenate([[15.0, 11.0, 8.0, 5.0, 3.0], middle, below, [-19.0, -25.0]])
+    return _spinning(np.radians(elevations), 3600)
+
+
 def sensors() -> dict[str, Callable[[], Sensor]]:
     """Constructors of all sensors by name."""
     return {
@@ -171,6 +178,8 @@ def sensors() -> dict[str, Callable[[], Sensor]]:
             "OS1-128", _even(22.5, -22.5, 128, 1024), 60.0, 0.5, 120.0, 0.015
         ),
         "XT-32": lambda: Sensor("XT-32", _even(15.0, -16.0, 32, 2000), 80.0, 0.3, 120.0, 0.008),
+        # At 5 Hz, half of the usual rate: traffic goes twice as far from sweep to sweep.
+        "Pandar40P": lambda: Sensor("Pandar40P", _pandar40p(), 80.0, 0.3, 200.0, 0.015, period=0.2),
         "VLP-16": lambda: Sensor("VLP-16", _even(15.0, -15.0, 16, 1800), 50.0, 0.5, 100.0, 0.015),
         "Avia": lambda: Sensor("Avia", _avia, 100.0, 1.0, 190.0, 0.02, spins=False),
     }
@@ -181,7 +190,7 @@ def sensor(name: str) -> Sensor:
 
     Parameters
     ----------
-    name : {"HDL-64", "OS1-128", "XT-32", "VLP-16", "Avia"}
+    name : {"HDL-64", "OS1-128", "XT-32", "Pandar40P", "VLP-16", "Avia"}
 
     Raises
     ------
