@@ -174,7 +174,8 @@ def test_confidence_equals_its_formula():
             known = [abs(k) / near[v, u] for k in known if np.isfinite(k)]
             bend[v, u] = max(known) if known else 1
     seen = rng.integers(0, 3, depth.shape).astype(np.uint8)
-    a, b, c, d = _CONFIDENCE["triangles"]
+    a, b, c, *doubt = _CONFIDENCE["triangles"]
+    doubt = dict(zip((1, 0, 2), (0, *doubt), strict=True))
     found = confidence(depth, support, measures, seen)
     for v in range(20):
         for u in range(30):
@@ -185,7 +186,8 @@ def test_confidence_equals_its_formula():
             edge = np.log10(min(max(worst, 1e-3), 1)) / 3 + 1
             s, m = int(support[v, u]), int(measures[v, u])
             odds = max((s + 0.25) / (m - s + 1), 0.25)
-            expected = 1 / (1 + np.exp(-(a + b * np.log(odds) - c * edge - d * (seen[v, u] != 1))))
+            log_odds = a + b * np.log(odds) - c * edge - doubt[int(seen[v, u])]
+            expected = 1 / (1 + np.exp(-log_odds))
             assert found[v, u] == pytest.approx(expected, abs=2e-4)
 
 
