@@ -10,7 +10,7 @@ from docdepth import open_dataset, register_drive
 from docdepth.errors import Finding
 from docdepth.geometry.se3 import inverse, rotation_log
 from docdepth.odometry.odometry import estimate_poses
-from docdepth.odometry.registration import Registration
+from docdepth.odometry.registration import Found, Registration
 from docdepth.synthetic import write_drive
 from exact_drive import Drive, pose_errors
 
@@ -100,12 +100,12 @@ def test_a_sweep_that_is_lost_without_a_gap_in_the_stamps() -> None:
 def test_a_road_on_which_nothing_holds_the_vehicle(monkeypatch: pytest.MonkeyPatch) -> None:
     rng, align = np.random.default_rng(1), Registration.align
 
-    def unsure(self: Registration, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        pose, covariance = align(self, guess)
+    def unsure(self: Registration, *guesses: np.ndarray) -> Found:
+        found = align(self, *guesses)
         if rng.random() < 0.4:
-            pose[0, 3] += rng.choice([-0.6, 0.6])
-            covariance = 0.03**2 * np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
-        return pose, covariance
+            found.pose[0, 3] += rng.choice([-0.6, 0.6])
+            found = found._replace(covariance=0.03**2 * np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0]))
+        return found
 
     monkeypatch.setattr(Registration, "align", unsure)
     findings: list[Finding] = []

@@ -1,5 +1,7 @@
 #include "docdepth/odometry/oriented_points.hpp"
 
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
 
 #include "docdepth/geometry/neighborhoods.hpp"
@@ -11,9 +13,29 @@ namespace {
 /// Fewer points form no plane.
 constexpr std::size_t kFewest = 5;
 
-/// Normal of the plane through some points; zero if they lie on a line.
+/// Rings are farther apart than this (tangent of the elevation).
+constexpr float kRingWidth = 0.002f;
+
+/// Whether points above the sensor are of one ring. They lie on the cone of its rays whatever they
+/// show: in a tree, or on a wall that is not flat, they form a level plane that is not there, goes
+/// along with the sensor and holds its height, roll and pitch. Below the sensor the plane of a ring
+/// is that of the road.
+bool shows_only_its_ring(const std::vector<Eigen::Vector3f>& points,
+                         const std::vector<std::uint32_t>& nearest) {
+  float low = INFINITY, high = -INFINITY;
+  for (const std::uint32_t row : nearest) {
+    const float slope = points[row].z() / points[row].head<2>().norm();
+    low = std::min(low, slope);
+    high = std::max(high, slope);
+    if (low < 0 || high - low >= kRingWidth) return false;
+  }
+  return true;
+}
+
+/// Normal of the plane through some points; zero if they lie on a line or show only their ring.
 Eigen::Vector3f normal_of(const std::vector<Eigen::Vector3f>& points,
                           const std::vector<std::uint32_t>& nearest) {
+  if (shows_only_its_ring(points, nearest)) return Eigen::Vector3f::Zero();
   // From one of the points: far from the origin, the squares would lose what tells the plane.
   const Eigen::Vector3f origin = points[nearest[0]];
   double x = 0, y = 0, z = 0, xx = 0, xy = 0, xz = 0, yy = 0, yz = 0, zz = 0;

@@ -44,7 +44,7 @@ Eigen::Vector3d plain_normal(const Matrix& points, Eigen::Index i, int neighbors
 TEST_CASE("normals are those of the nearest points, whatever the threads") {
   Matrix points = cloud(600, 4);
   points.col(2) *= 0.02f;  // a rough plane
-  points.rowwise() += Eigen::RowVector3f(900, -700, 3);
+  points.rowwise() += Eigen::RowVector3f(900, -700, -30);
   const OrientedPoints one = with_normals(points, 15, 1);
   for (Eigen::Index i = 0; i < points.rows(); ++i) {
     const Eigen::Vector3d expected = plain_normal(points, i, 15);
@@ -61,6 +61,27 @@ TEST_CASE("where there are fewer points than neighbours, all of them form the pl
   const Eigen::Vector3d expected = plain_normal(points, 0, 9);
   for (const auto& normal : all.normals)
     CHECK(std::abs(expected.dot(normal.cast<double>())) > 1 - 1e-5);
+}
+
+TEST_CASE("a ring above the sensor has no normals, two rings and a ring on the road have") {
+  std::mt19937 random(3);
+  std::normal_distribution<float> noise(0, 0.3f);
+  const auto rings = [&](std::initializer_list<float> slopes, bool is_rough) {
+    Matrix points(Eigen::Index(60 * slopes.size()), 3);
+    Eigen::Index row = 0;
+    for (const float slope : slopes)
+      for (int k = 0; k < 60; ++k, ++row) {
+        const float azimuth = 0.02f * float(k), away = 8 + (is_rough ? noise(random) : 0);
+        points.row(row) << away * std::cos(azimuth), away * std::sin(azimuth), away * slope;
+      }
+    return points;
+  };
+  for (const auto& normal : with_normals(rings({0.2f}, true), 15, 1).normals)
+    CHECK(normal.isZero());
+  for (const auto& normal : with_normals(rings({0.2f, 0.21f}, true), 15, 1).normals)
+    CHECK(normal.norm() == doctest::Approx(1));
+  for (const auto& normal : with_normals(rings({-0.2f}, false), 15, 1).normals)
+    CHECK(std::abs(normal.z()) > 0.999);
 }
 
 TEST_CASE("too few points have no normals") {

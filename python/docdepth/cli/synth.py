@@ -36,7 +36,10 @@ def synth(
     sensor: Annotated[
         str, option(f"LiDAR: {', '.join(SENSOR_NAMES)}.", **one_of(SENSOR_NAMES))
     ] = "HDL-64",
-    frames: Annotated[int, option("Number of sweeps, ten a second; five of the Pandar40P.", "N", min=2, max=100000)] = 60,
+    frames: Annotated[
+        int,
+        option("Number of sweeps, ten a second; five of the Pandar40P.", "N", min=2, max=100000),
+    ] = 60,
     seed: Annotated[int, option("Number that varies houses, bends and traffic.", "N", min=0)] = 0,
     skew: Annotated[bool, option("Write raw sweeps, without motion compensation.")] = False,
     beam_width: Annotated[
@@ -65,7 +68,10 @@ def demo(
     output: Annotated[Path, option("Folder for drive and run.", "DIR", "-o --output")] = Path(
         "demo"
     ),
-    frames: Annotated[int, option("Number of sweeps, ten a second; five of the Pandar40P.", "N", min=3, max=100000)] = 40,
+    frames: Annotated[
+        int,
+        option("Number of sweeps, ten a second; five of the Pandar40P.", "N", min=3, max=100000),
+    ] = 40,
     preset: PresetName = "default",
     threads: Threads = 0,
 ) -> None:

@@ -256,7 +256,8 @@ def _agreement(
     together = np.concatenate(points)  # one tree for all of them: it takes most of the time
     rows, distance = _core.nearest_neighbors(surface, together, 1)
     off = np.abs(np.einsum("ij,ij->i", normals[rows], together - surface[rows]))
-    agree = (distance < _NEAR) * np.clip(1 - off / on, 0, None)
+    known = normals[rows].any(axis=1)
+    agree = (known & (distance < _NEAR)) * np.clip(1 - off / on, 0, None)
     ends = np.cumsum([len(p) for p in points])[:-1]
     return float(np.mean([share.mean() for share in np.split(agree, ends)]))
 

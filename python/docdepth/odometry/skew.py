@@ -236,5 +236,6 @@ def _distance_off(clouds: Sequence[NDArray[np.float64]]) -> float:
         normals = _core.OrientedPoints(before, _NEIGHBORS, 1).normals
         rows, distance = _core.nearest_neighbors(before, after, 1)
         off = np.abs(np.einsum("ij,ij->i", normals[rows], after - before[rows]))
-        means.append(np.minimum(off, _MOST_OFF)[distance < _NEAR].mean())
+        known = normals[rows].any(axis=1)
+        means.append(np.minimum(off, _MOST_OFF)[known & (distance < _NEAR)].mean())
     return float(np.mean(means))
