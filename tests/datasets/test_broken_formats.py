@@ -167,6 +167,17 @@ def test_chunks_that_a_file_is_too_short_for(tmp_path: Path) -> None:
         open_dataset(path).sweep(0)
 
 
+def test_records_that_a_file_is_too_short_for(tmp_path: Path) -> None:
+    """laspy read as many, for hours."""
+    path = WRITERS["folder of laz"][1](tmp_path).path
+    file = min(path.rglob("*.laz"))
+    whole = bytearray(file.read_bytes())
+    struct.pack_into("<I", whole, 100, 1 << 31)
+    file.write_bytes(whole)
+    with pytest.raises(DatasetError, match=rf"{file.name} .* more records than it has bytes"):
+        open_dataset(path).sweep(0)
+
+
 @pytest.mark.parametrize(
     "error", [TypeError("'x'"), struct.error("no"), KeyError("laser"), ArithmeticError()]
 )

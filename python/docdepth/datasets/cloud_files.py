@@ -33,6 +33,7 @@ from docdepth.io.ply import read_vertices
 from docdepth.io.untrusted import ArrayError, open_file, read_array, read_file
 
 NANOSECOND, MICROSECOND = 1, 1000
+_RECORD = 54  # bytes at least of a record with a variable length (VLR) of a LAS file
 KITTI_COLUMNS = ("x", "y", "z", "intensity")
 
 
@@ -148,6 +149,9 @@ def _read_las(file: Path, where: str, rows: RowFormat) -> Cloud:
     # lazrs ends the process where it gets no memory for the chunks that a file tells of.
     if content[104:105] >= b"\x80" and _chunks(content) > len(content):
         raise DatasetError(f"{where} tells of more chunks than it has bytes; copy it again")
+    # laspy goes through as many records as the header tells of, also after the end.
+    if int.from_bytes(content[100:104], "little") * _RECORD > len(content):
+        raise DatasetError(f"{where} tells of more records than it has bytes; copy it again")
     with library_errors(where, "copy it again"):
         las = laspy.read(io.BytesIO(content))
     columns: dict[str, NDArray[Any]] = {axis: np.asarray(las[axis], "f8") for axis in "xyz"}
