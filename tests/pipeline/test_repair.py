@@ -181,7 +181,7 @@ def test_a_recording_that_was_moved_is_the_same(root):
     assert times(root / "run") == kept
 
 
-@pytest.mark.parametrize(("name", "kind"), zip(KEPT_TRACKS, ["cut", "gone"], strict=True))
+@pytest.mark.parametrize(("name", "kind"), list(zip(KEPT_TRACKS, ["cut", "gone"], strict=True)))
 def test_tracks_that_are_not_whole_are_found_again(root, name, kind):
     """A frame without its classes needs them."""
     before, path = files(root / "run"), root / "run" / name
