@@ -26,9 +26,11 @@ constexpr float kMinQueueTransientShare = 0.9f;
 /// and this share was free before or after: 0.18 and more, where of pieces of fences that seem
 /// transient as a whole it is at most 0.08.
 constexpr float kMinQueueFreeShare = 0.13f;
-/// What is as wide as a vehicle, goes so many times its length, and once its length while
-/// transient, is no fence or hedge, whatever hides its places: lorries that follow each other do.
+/// What is as large as a car, goes so many times its length, and once its length while transient,
+/// is no fence, whatever hides its places: lorries that follow each other do. Less of a hedge may
+/// seem to go along with the LiDAR.
 constexpr float kFarLengths = 3;
+constexpr float kMinCarLength = 2.5f, kMinCarHeight = 1;  // metres
 /// An object that is never seen to move stands where for so long [s] this share of it was free, in
 /// the mean.
 constexpr double kFreeWindow = 2;
@@ -134,8 +136,9 @@ bool is_vehicle(const TrackPath& path) {
 
 bool drives_far(const TrackPath& path) {
   const Eigen::Vector3f size = path.extent().size();
-  return is_vehicle(path) && size.y() >= kMinRigidWidth &&
-         path.distance() >= kFarLengths * size.x() && path.transient_distance() >= size.x();
+  return path.is_rigid() && size.x() >= kMinCarLength && size.y() >= kMinRigidWidth &&
+         size.z() >= kMinCarHeight && path.distance() >= kFarLengths * size.x() &&
+         path.transient_distance() >= size.x();
 }
 
 bool moves(const ObjectTrack& object, const std::vector<double>& times,
