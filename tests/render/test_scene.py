@@ -51,7 +51,7 @@ def scene_of(run, drive):
             instance[record.index] = record.instance
         nobody = Votes(instance, instance)
         labels.append(Labels(classes, nobody, instance))
-    tracks = list(tracks_in(folder.path).values())
+    tracks = tracks_in(folder.path)
     return Scene(sweeps, folder.trajectory(), labels, folder.parameters, tracks), recording
 
 

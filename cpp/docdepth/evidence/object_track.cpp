@@ -27,8 +27,8 @@ constexpr float kMinQueueTransientShare = 0.9f;
 /// transient as a whole it is at most 0.08.
 constexpr float kMinQueueFreeShare = 0.13f;
 /// What is as large as a car, goes so many times its length, and once its length while transient,
-/// is no fence, whatever hides its places: lorries that follow each other do. Less of a hedge may
-/// seem to go along with the LiDAR.
+/// is no fence, even where other vehicles hide that its place was free: lorries that follow each
+/// other do. A smaller piece of a hedge may seem to move along with the LiDAR.
 constexpr float kFarLengths = 3;
 constexpr float kMinCarLength = 2.5f, kMinCarHeight = 1;  // metres
 /// An object that is never seen to move stands where for so long [s] this share of it was free, in

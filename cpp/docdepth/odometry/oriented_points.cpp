@@ -13,13 +13,13 @@ namespace {
 /// Fewer points form no plane.
 constexpr std::size_t kFewest = 5;
 
-/// Rings are farther apart than this (tangent of the elevation).
-constexpr float kRingWidth = 0.002f;
+/// Points of two rings differ by more than this in the tangent of their elevation.
+constexpr float kMinRingSpacing = 0.002f;
 
-/// Whether points above the sensor are of one ring. They lie on the cone of its rays whatever they
-/// show: in a tree, or on a wall that is not flat, they form a level plane that is not there, goes
-/// along with the sensor and holds its height, roll and pitch. Below the sensor the plane of a ring
-/// is that of the road.
+/// Whether points above the sensor are all of one ring. Such points lie on the cone of its rays,
+/// whatever they hit: in a tree, or on a wall that is not flat, a plane through them is nearly
+/// level. No such surface exists, and as it moves with the sensor, it would pull height, roll and
+/// pitch. Below the sensor, the plane through a ring is mostly that of the road.
 bool shows_only_its_ring(const std::vector<Eigen::Vector3f>& points,
                          const std::vector<std::uint32_t>& nearest) {
   float low = INFINITY, high = -INFINITY;
@@ -27,7 +27,7 @@ bool shows_only_its_ring(const std::vector<Eigen::Vector3f>& points,
     const float slope = points[row].z() / points[row].head<2>().norm();
     low = std::min(low, slope);
     high = std::max(high, slope);
-    if (low < 0 || high - low >= kRingWidth) return false;
+    if (low < 0 || high - low >= kMinRingSpacing) return false;
   }
   return true;
 }

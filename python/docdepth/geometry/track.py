@@ -157,15 +157,16 @@ class Tracks(Mapping[int, Track]):
 
     Parameters
     ----------
-    tracks : iterable of Track
+    tracks : iterable of Track, or Tracks
 
     Attributes
     ----------
     ids : ndarray of uint16, shape (n,)
     """
 
-    def __init__(self, tracks: Iterable[Track] = ()) -> None:
-        self._by_id = {track.id: track for track in tracks}
+    def __init__(self, tracks: Iterable[Track] | Tracks = ()) -> None:
+        every = tracks.values() if isinstance(tracks, Tracks) else tracks
+        self._by_id = {track.id: track for track in every}
         self._every = list(self._by_id.values())
         self.ids = np.array([track.id for track in self._every], np.uint16)
         self._first = np.array([track.times[0] for track in self._every], np.int64)

@@ -50,8 +50,9 @@ _TASKS_PER_WORKER = 2
 whole drive would fill the memory."""
 
 _ANSWERS_WITHIN = 10.0
-_LONGEST_GREETING = 1 << 20  # bytes
 """A scheduler begins to speak as soon as somebody calls [s]."""
+
+_LONGEST_GREETING = 1 << 20  # bytes
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")

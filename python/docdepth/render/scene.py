@@ -59,7 +59,7 @@ class Scene:
         hold the instance of each point: the id of its track.
     parameters : Parameters, optional
         ``render`` is used.
-    tracks : sequence of Track, optional
+    tracks : Tracks, or sequence of Track, optional
         Objects that move; those of ``labels`` from :func:`classify_drive` if absent. Dynamic points
         without a track are drawn where the nearest sweep saw them.
 
@@ -75,7 +75,7 @@ class Scene:
         trajectory: Trajectory,
         labels: Sequence[Classes],
         parameters: Parameters | None = None,
-        tracks: Sequence[Track] | None = None,
+        tracks: Sequence[Track] | Tracks | None = None,
     ) -> None:
         Trajectory.check(trajectory, sweeps)
         if not hasattr(labels, "__len__") or len(labels) != len(sweeps):
