@@ -67,7 +67,6 @@ class Described(NamedTuple):
 
     Attributes
     ----------
-    description : str
     unit, symbol : str
         Empty for none; the symbol is the paper's.
     range : str
@@ -134,13 +133,7 @@ def read_yaml(text: str) -> Any:
 
 
 def parse_settings(assignments: list[str], option: str = "--set") -> dict[str, object]:
-    """``["dynamics.tolerance=0.3"]`` as a dict; values are read as YAML.
-
-    Raises
-    ------
-    ConfigError
-        An assignment has no equals sign, or its value is no YAML. The message names the option.
-    """
+    """``["dynamics.tolerance=0.3"]`` as a dict; values are read as YAML."""
     settings: dict[str, object] = {}
     for assignment in assignments:
         name, equals, value = assignment.partition("=")

@@ -32,12 +32,7 @@ def null_progress(stage: str, done: int, total: int, /) -> None:
 
 
 class Timer:
-    """Seconds spent by name: ``with timer("vote"): ...``. Threads may share one.
-
-    Attributes
-    ----------
-    seconds : dict of str to float
-    """
+    """Seconds spent by name: ``with timer("vote"): ...``. Threads may share one."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}

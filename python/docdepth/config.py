@@ -345,13 +345,7 @@ def parameters(preset: Preset = "default", settings: Settings | None = None) -> 
 
 
 def given(values: Parameters | None) -> Parameters:
-    """The parameters that a function was given; the defaults for None.
-
-    Raises
-    ------
-    InputError
-        They are no :class:`Parameters`.
-    """
+    """The parameters that a function was given; the defaults for None."""
     if values is not None and not isinstance(values, Parameters):
         raise InputError(
             'parameters must be docdepth.parameters(...), such as docdepth.parameters("paper"), '
@@ -361,13 +355,7 @@ def given(values: Parameters | None) -> Parameters:
 
 
 def replaced(values: Parameters, settings: Settings) -> Parameters:
-    """Parameters with single values replaced, by dotted name.
-
-    Raises
-    ------
-    ConfigError
-        As for :func:`parameters`.
-    """
+    """Parameters with single values replaced, by dotted name."""
     if not settings:
         return values
     return parameters(values.preset, {**_by_name(values), **settings})
@@ -386,13 +374,7 @@ def _by_name(values: Parameters) -> dict[str, object]:
 
 
 def stored_parameters(tree: Any, file: Path | None = None) -> Parameters:
-    """Parameters from a tree ``{stage: {name: value}}``, as ``run.yaml`` keeps it.
-
-    Raises
-    ------
-    ConfigError
-        It has another structure, or as for :func:`parameters`; the message names the file.
-    """
+    """Parameters from a tree ``{stage: {name: value}}``, as ``run.yaml`` keeps it."""
     try:
         return Parameters.model_validate(tree)
     except ValidationError as error:

@@ -1,5 +1,8 @@
 """Errors and findings of docdepth: what is wrong, where, and what to do.
 
+The class tells whose fault it is, as each docstring here says: whatever is missing, damaged or
+contradicts itself raises the error of its kind. Docstrings of internal functions do not repeat it.
+
 A remedy is a sentence. What it names of Python stands in backticks, as in ``leave it out by
 `on_error='skip'```; the command line says it as an option or a command.
 """
@@ -101,7 +104,6 @@ class DamagedFileError(RunError):
 
     Parameters
     ----------
-    path : Path
     what : str
         What is wrong with it; empty if it is missing.
     """
@@ -161,12 +163,7 @@ class Finding:
 
 
 class SeveralProblems(DatasetError, CalibrationError):
-    """Several problems of the inputs, told together.
-
-    Attributes
-    ----------
-    errors : list of DocDepthError
-    """
+    """Several problems of the inputs, told together."""
 
     code = "several"
 
@@ -228,13 +225,7 @@ def in_order(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def raise_findings(findings: Iterable[Finding]) -> None:
-    """Raise the errors among findings, all in one message.
-
-    Raises
-    ------
-    DatasetError
-        For one error its sentence, for several :class:`SeveralProblems`.
-    """
+    """Raise the errors among findings, all in one message."""
     errors = (found for found in findings if found.severity == "error")
     raise_together(
         DatasetError(replace(one, remedy=""), one.remedy, code=one.code) for one in errors

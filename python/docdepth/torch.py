@@ -36,7 +36,6 @@ class DepthDataset:
 
     Parameters
     ----------
-    run : Run or Path
     layers : sequence of str
         Of :data:`docdepth.render.layers.LAYERS`, or ``moving``: bool, where something moves. The
         run should have stored them, by ``docdepth run --layers``: drawing takes seconds.
@@ -45,15 +44,6 @@ class DepthDataset:
         the whole image if absent.
     cameras : iterable of str, optional
         Those of the recording if absent.
-
-    Raises
-    ------
-    InputError
-        There is no such layer or camera, or the crop is larger than an image.
-    MissingExtraError
-        PyTorch is not installed.
-    RunError
-        The folder holds no run with depth maps, or the recording, which holds the photos, is away.
     """
 
     def __init__(

@@ -28,11 +28,6 @@ class Board:
         Side of a square [m].
     width, height : float
         Outline along x and along y [m].
-
-    Raises
-    ------
-    ConfigError
-        There is no such board.
     """
 
     columns: int
@@ -98,13 +93,7 @@ class Board:
 
 
 def parse_board(corners: str, square: float, size: str) -> Board:
-    """A board from ``COLUMNSxROWS`` and ``WIDTHxHEIGHT`` in metres.
-
-    Raises
-    ------
-    ConfigError
-        A text cannot be read, or there is no such board.
-    """
+    """A board from ``COLUMNSxROWS`` and ``WIDTHxHEIGHT`` in metres."""
     counts = re.fullmatch(r"(\d{1,3})x(\d{1,3})", corners.strip().lower())
     sides = re.fullmatch(r"(\d*\.?\d+)x(\d*\.?\d+)", size.strip().lower())
     if counts is None:

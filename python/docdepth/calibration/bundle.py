@@ -60,7 +60,6 @@ class Observation:
 
     Attributes
     ----------
-    name : str
     corners : ndarray of float64, shape (n, 2)
         Pixels.
     T_camera_board : ndarray of float64, shape (4, 4)
@@ -88,7 +87,6 @@ class Solution:
     T_camera_board : ndarray of float64, shape (n, 4, 4)
     growth : float
         How far the board seems to reach beyond its edge [m].
-    lens : Lens
     blur : float
         Standard deviation of the place where a beam stops seeing a board [m].
     corner_noise : float
@@ -133,18 +131,11 @@ def solve_bundle(
 
     Parameters
     ----------
-    board : Board
-    observations : sequence of Observation
-    start : Solution
     free_lens : bool
         Refine K and distortion, too. What the LiDAR tells of distances makes K several times more
         certain than the images alone.
     reaches : sequence of float
         Rays at most this far from the outline count [m], in each round.
-
-    Returns
-    -------
-    Solution
     """
     now = start
     for reach in reaches:
@@ -260,9 +251,6 @@ def covariance(
 
     Parameters
     ----------
-    board : Board
-    observations : sequence of Observation
-    at : Solution
     free_lens : bool
         K and distortion are not known, either.
 
@@ -287,8 +275,6 @@ def pose_by_sweep(
 
     Parameters
     ----------
-    board : Board
-    observation : Observation
     at : Solution
         Of other boards.
     T_camera_board : ndarray of float64, shape (4, 4)

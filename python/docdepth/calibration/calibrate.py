@@ -50,11 +50,8 @@ class BoardPair:
 
     Attributes
     ----------
-    name : str
     corners : ndarray of float64, shape (n, 2), or None
         Pixels of the inner corners; None where they were not found.
-    sweep : BoardSweep
-    image : Path or StoredImage, optional
     """
 
     name: str
@@ -71,7 +68,6 @@ class Calibration:
     ----------
     observations : list of Observation
         The boards that were used.
-    solution : Solution
     residuals : list of (float, float)
         What each board leaves: RMS of its corners [px], and of its returns from the plane [m].
     boards : list of LeftOutBoard
@@ -118,8 +114,6 @@ def calibrate(
 
     Parameters
     ----------
-    board : Board
-    pairs : sequence of BoardPair
     size : (int, int)
         Width and height of the images in pixels.
     lens : Lens, optional
@@ -128,11 +122,6 @@ def calibrate(
         Of the lens, if it is estimated.
     progress : callable, optional
         ``progress(stage, done, total)``.
-
-    Raises
-    ------
-    CalibrationError
-        Too few boards, too parallel ones, or another board than the one described.
     """
     observations, start, not_used = find(board, pairs, size, lens, model, progress)
     count, free_lens = len(observations), lens is None
@@ -182,7 +171,6 @@ def find(
 
     Returns
     -------
-    observations : list of Observation
     start : Solution
         K of the images alone and the extrinsic of planes alone, for the bundle.
     not_used : dict of str to str

@@ -65,7 +65,6 @@ def find_extrinsic(
         Boards in the images.
     patches : sequence of sequence of Patch
         Of the sweep of each image.
-    board : Board
     lever_arm : float
         Most distance of camera and LiDAR [m].
 

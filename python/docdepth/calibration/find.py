@@ -47,11 +47,9 @@ class SeenBoard:
 
     Attributes
     ----------
-    name : str
     corners : ndarray of float64, shape (n, 2)
         Pixels.
     T_camera_board : ndarray of float64, shape (4, 4)
-    sweep : BoardSweep
     """
 
     name: str
@@ -61,12 +59,7 @@ class SeenBoard:
 
 
 def check_varied(normals: Floats, where: str) -> None:
-    """Refuse boards that are all but parallel; normals (n, 3).
-
-    Raises
-    ------
-    CalibrationError
-    """
+    """Refuse boards that are all but parallel; normals (n, 3)."""
     condition = normals_condition(normals)
     if condition < LEAST_CONDITION:
         mean = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
@@ -87,23 +80,15 @@ def find_boards(
 
     Parameters
     ----------
-    board : Board
-    seen : sequence of SeenBoard
     progress : callable, optional
         ``progress("sweeps", searched, all)``.
 
     Returns
     -------
-    observations : list of Observation
     T_lidar_camera : ndarray of float64, shape (4, 4)
         From planes alone.
     not_used : dict of str to str
         Why the board was not found, by name.
-
-    Raises
-    ------
-    CalibrationError
-        It is found in too few sweeps.
     """
     T_lidar_camera = _first_extrinsic(board, seen, progress)
     for _ in range(_ROUNDS):

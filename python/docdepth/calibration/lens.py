@@ -88,7 +88,6 @@ def estimate_lens(
 
     Parameters
     ----------
-    board : Board
     corners : sequence of ndarray, shape (rows * columns, 2)
         Pixels of the corners in each image.
     size : (int, int)
@@ -97,14 +96,8 @@ def estimate_lens(
 
     Returns
     -------
-    lens : Lens
     error : float
         Root mean square of the corners' errors [px].
-
-    Raises
-    ------
-    CalibrationError
-        Too few images, or K does not converge.
     """
     if len(corners) < FEWEST_IMAGES:
         raise CalibrationError(

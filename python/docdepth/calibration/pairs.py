@@ -44,9 +44,6 @@ def board_pairs(
 
     Parameters
     ----------
-    recording : Dataset
-    stream : ImageStream
-    board : Board
     boxes : dict of ndarray, shape (3, 2), optional
         Least and greatest x, y and z of the board in the LiDAR frame [m], by name of the image; of
         all images under "".
@@ -55,16 +52,8 @@ def board_pairs(
 
     Returns
     -------
-    pairs : list of BoardPair
     size : (int, int)
         Width and height of the images in pixels.
-
-    Raises
-    ------
-    DatasetError
-        Images and sweeps do not belong together, or a file cannot be read.
-    CalibrationError
-        The images show another checkerboard, or none that stands still.
     """
     boxes = boxes or {}
     unknown = sorted(boxes.keys() - {"", *stream.names})
@@ -119,13 +108,7 @@ def _stills(recording: Dataset, stream: ImageStream) -> list[tuple[int, int]]:
 
 
 def _by_number(images: Sequence[str], sweeps: Sequence[str]) -> list[tuple[int, int]]:
-    """Pairs of names with one and the same number; empty where names do not tell.
-
-    Raises
-    ------
-    DatasetError
-        A name has no partner.
-    """
+    """Pairs of names with one and the same number; empty where names do not tell."""
     numbers = [[_number(name) for name in names] for names in (images, sweeps)]
     if any(None in found or len(set(found)) < len(found) for found in numbers):
         return []

@@ -37,7 +37,6 @@ class LeftOutBoard:
 
     Attributes
     ----------
-    name : str
     pixels : float
         Distance of the corners of its outline, as the LiDAR has them, from those of the camera,
         RMS in the image.
@@ -146,13 +145,7 @@ def difference(a: Floats, b: Floats) -> tuple[float, float]:
 
 
 def check_size(board: Board, observations: Sequence[Observation], T_lidar_camera: Floats) -> None:
-    """Refuse a board that is not as large as it was said to be.
-
-    Raises
-    ------
-    CalibrationError
-        Outline or squares have another size.
-    """
+    """Refuse a board that is not as large as it was said to be."""
     width, height = measured_size(board, observations)
     if max(abs(width - board.width), abs(height - board.height)) > _LEAST_SIZE:
         raise CalibrationError(

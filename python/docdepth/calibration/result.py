@@ -72,10 +72,8 @@ def write_result(
         Created if it is not there.
     name : str
         Of the camera.
-    board : Board
     pairs : sequence of BoardPair
         With their images.
-    found : Calibration
     progress : callable, optional
         ``progress("pictures", done, total)``.
 
@@ -129,10 +127,8 @@ def points_on_image(image: Picture, board: Board, pair: BoardPair, solution: Sol
     ----------
     image : ndarray of uint8, shape (h, w, 3)
         BGR, as the camera took it.
-    board : Board
     pair : BoardPair
         The outline is where its corners have it; without corners there is none.
-    solution : Solution
     """
     lens, T = solution.lens, solution.T_camera_lidar
     points = pair.sweep.points @ T[:3, :3].T + T[:3, 3]

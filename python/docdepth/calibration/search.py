@@ -62,8 +62,6 @@ def find_patches(
 
     Parameters
     ----------
-    sweep : BoardSweep
-    board : Board
     distance : (float, float)
         Least and greatest distance from the LiDAR [m].
     fewest_score : float
@@ -95,8 +93,6 @@ def fit_patch(
 
     Parameters
     ----------
-    sweep : BoardSweep
-    board : Board
     T_lidar_board : ndarray of float64, shape (4, 4)
     near : float
         How far the plane may be from the pose [m]. If more than that of a patch that was found

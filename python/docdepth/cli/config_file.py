@@ -22,7 +22,6 @@ class RunConfigFile(NamedTuple):
     ----------
     inputs : RunInputs, optional
         Those of a run.yaml.
-    preset : str
     settings : dict
         Parameters by dotted name; of a run.yaml, which lists all, those that differ from the
         preset.
@@ -34,13 +33,7 @@ class RunConfigFile(NamedTuple):
 
 
 def read_config(path: Path) -> RunConfigFile:
-    """Read a file of parameters (``odometry: {max_range: 80}``) or a run.yaml.
-
-    Raises
-    ------
-    ConfigError
-        The file cannot be read, has another structure, or a value is refused.
-    """
+    """Read a file of parameters (``odometry: {max_range: 80}``) or a run.yaml."""
     try:
         tree = read_yaml(read_text(path))
     except (OSError, ValueError, yaml.YAMLError) as error:

@@ -159,7 +159,6 @@ def verb(
 
     Parameters
     ----------
-    group : typer.Typer
     name : str, optional
         That of the function if absent.
     but : sequence of str

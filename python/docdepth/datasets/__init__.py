@@ -1,10 +1,4 @@
-"""Recordings on disk: a file for each format, all with the interface :class:`~.base.Dataset`.
-
-What is missing, damaged or contradicts itself raises a :class:`~docdepth.errors.DatasetError`, of a
-calibration a :class:`~docdepth.errors.CalibrationError`, that names file, frame and remedy; what
-needs a library that is not installed a :class:`~docdepth.errors.MissingExtraError`. That holds for
-every reader here, so docstrings of single ones do not repeat it.
-"""
+"""Recordings on disk: a file for each format, all with the interface :class:`~.base.Dataset`."""
 
 from __future__ import annotations
 

@@ -257,11 +257,8 @@ class ImageStream:
 
     Attributes
     ----------
-    name : str
     times : ndarray of int64, shape (m,)
         Time of each image in nanoseconds, on the clock of the sweeps.
-    names : list of str
-    images : sequence of Path or StoredImage
     camera : Camera, optional
         None if K is not known.
     distortion, model

@@ -66,9 +66,6 @@ class Recording(DatasetRepr):
     ----------
     name : str
         Of the format.
-    path : Path
-    lidars : sequence of LidarReader
-    cameras : dict of CameraStream
     poses : ndarray of float64, shape (n, 4, 4), or callable, optional
         ``T_world_lidar`` of each sweep, or what reads them; NaN where it is not known.
     settings : RecordingSettings
@@ -92,11 +89,6 @@ class Recording(DatasetRepr):
         Around the vehicle itself; its points are left out. None where nothing is said.
     broken : list of DocDepthError
         Of sweeps that were tried when the recording was opened; others were taken in their place.
-
-    Raises
-    ------
-    DatasetError
-        There is no sweep, or none can be read.
     """
 
     def __init__(

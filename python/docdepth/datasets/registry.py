@@ -133,14 +133,8 @@ def find_recordings(root: Path, dataset: str | None = None) -> list[Path]:
 
     Parameters
     ----------
-    root : Path
     dataset : str, optional
         Of this format alone, by name.
-
-    Raises
-    ------
-    DatasetError
-        There is no such folder or format.
     """
     formats = _all() if dataset is None else [_named(dataset.replace("-", "_"))]
     if not root.is_dir():

@@ -53,7 +53,6 @@ class LevelledRecording(View):
 
     Parameters
     ----------
-    tilted : Dataset
     up : array_like, shape (3,), optional
         Unit vector that points up, LiDAR frame of the recording. Without it nothing is turned.
     sensor_origin : array_like, shape (3,) or (k, 3), optional

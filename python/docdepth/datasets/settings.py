@@ -216,11 +216,6 @@ def read_settings(
         What entries are that are left out, where the format knows better than ``model``.
     taken : collection of str, optional
         Entries that the format takes, if not all of ``model``.
-
-    Raises
-    ------
-    DatasetError
-        The file is not YAML, or an entry is unknown or wrong.
     """
     file = settings_file(recording)
     given: Any = None

@@ -30,10 +30,6 @@ _Stream = TypeVar("_Stream", CameraStream, ImageStream)
 class View(DatasetRepr):
     """A recording seen in another way: what a subclass does not change is as it was.
 
-    Parameters
-    ----------
-    whole : Dataset
-
     Attributes
     ----------
     indices : sequence of int
@@ -93,18 +89,12 @@ class FrameRange(View):
 
     Parameters
     ----------
-    whole : Dataset
     frames : str
         ``A:B`` as in a slice of Python; either may be left out.
     without : collection of int
         Sweeps of the whole recording that are left out.
     without_images : mapping of str to collection of str
         Names of images that are left out, by camera.
-
-    Raises
-    ------
-    DatasetError
-        The text is no range, or holds no sweep of the recording.
     """
 
     def __init__(
@@ -206,7 +196,6 @@ def without_ego(sweep: Sweep, boxes: Sequence[ArrayLike]) -> Sweep:
 
     Parameters
     ----------
-    sweep : Sweep
     boxes : sequence of six numbers, or of three pairs
         Least and greatest x, y and z, metres in the LiDAR frame.
     """
@@ -234,7 +223,6 @@ class WithoutEgo(View):
 
     Parameters
     ----------
-    whole : Dataset
     boxes : sequence of array_like
         As for :func:`without_ego`.
     """

@@ -51,7 +51,6 @@ def find_misalignment(
 
     Parameters
     ----------
-    recording : Dataset
     stream : CameraStream
         With images.
     sweeps : mapping of int to Sweep, optional
@@ -62,11 +61,6 @@ def find_misalignment(
     str or None
         For example ``depth edges fit the images better when the camera turns 1.5 degrees to the
         right``; None where the given calibration fits best, and where the evidence is thin.
-
-    Raises
-    ------
-    DatasetError
-        A sweep or an image is damaged.
     """
     sweeps = sweeps or {}
     views = views_of(recording, stream, sweeps)

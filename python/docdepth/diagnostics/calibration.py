@@ -49,7 +49,6 @@ class CalibrationCheck:
 
     Attributes
     ----------
-    fit : EdgeFit
     edges, images : int
         How many were compared.
     worst : str
@@ -123,13 +122,7 @@ class CalibrationCheck:
 
 
 def compare(found: RunEdges) -> CalibrationCheck:
-    """What depth edges and image edges say about the calibration.
-
-    Raises
-    ------
-    CalibrationError
-        There are too few edges to tell, or they fit by chance only.
-    """
+    """What depth edges and image edges say about the calibration."""
     stream = found.stream
     if not found.enough:
         raise CalibrationError(
@@ -172,7 +165,6 @@ class RunEdges:
     ----------
     path : Path
         Of the run.
-    stream : CameraStream
     names : list of str
         Of the images.
     images : list of ndarray of uint8, shape (h, w, 3)
@@ -226,7 +218,6 @@ def edges_of_images(
 
     Parameters
     ----------
-    run : Path
     stream : CameraStream
         With images.
     indices : sequence of int

@@ -139,10 +139,8 @@ def profiles(edges: Edges, image: NDArray[np.uint8], camera: Camera) -> NDArray[
 
     Parameters
     ----------
-    edges : Edges
     image : ndarray of uint8, shape (h, w, 3)
         BGR, rectified.
-    camera : Camera
 
     Returns
     -------

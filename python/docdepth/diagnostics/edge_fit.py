@@ -92,7 +92,6 @@ class ImageEdges:
 
     Attributes
     ----------
-    camera : Camera
     edges : sequence of Edges
         Of each image; one of them has some.
     samples : sequence of ndarray

@@ -85,11 +85,6 @@ def find_error_sources(
         With classified sweeps.
     progress : callable, optional
         Called with ``"poses and times"``, the sweeps done and their number.
-
-    Raises
-    ------
-    RunError
-        A sweep is not classified.
     """
     folder = RunFolder.open(run)
     trajectory = folder.trajectory()

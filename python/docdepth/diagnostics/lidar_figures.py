@@ -32,7 +32,6 @@ def lidar_figures(sweep: Sweep, names: Sequence[str]) -> list[dict[str, object]]
 
     Parameters
     ----------
-    sweep : Sweep
     names : sequence of str
         Of the LiDARs; numbers are taken where there are others.
 
@@ -231,7 +230,6 @@ def time_figures(sweep: Sweep, period: float | None) -> dict[str, object] | None
 
     Parameters
     ----------
-    sweep : Sweep
     period : float, optional
         Seconds between sweeps.
 

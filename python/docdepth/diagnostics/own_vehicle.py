@@ -155,7 +155,6 @@ def vehicle_of(
     ----------
     clouds : sequence of ndarray of float32, shape (N, 3)
         Usable points of sweeps from different places.
-    ground : GroundPlane
     lidars : ndarray of float64, shape (k, 3)
         Where the LiDARs are.
     ahead : ndarray of float64, shape (3,)

@@ -115,7 +115,6 @@ def explain_misfit(
 
     Parameters
     ----------
-    windows : sequence of Window
     cameras : dict of ndarray of float64, shape (4, 4), optional
         ``T_camera_lidar`` of each camera.
 

@@ -31,7 +31,6 @@ class Inspection:
         ``T_world_lidar`` of every sweep.
     windows : list of Window
         Sweeps that were registered.
-    ground : GroundPlane or None
     """
 
     figures: Figures = field(default_factory=dict)

@@ -27,13 +27,7 @@ Floats = NDArray[np.float64]
 
 
 def pictures_of(recording: Dataset, result: Inspection) -> Iterator[tuple[Picture, str]]:
-    """Pictures with their captions; none of what cannot be read.
-
-    Parameters
-    ----------
-    recording : Dataset
-    result : Inspection
-    """
+    """Pictures with their captions; none of what cannot be read."""
     if not result.sweeps:  # all are broken
         return
     try:
@@ -235,7 +229,6 @@ def points_on_image(
     ----------
     points : ndarray, shape (N, 3)
         LiDAR frame at the time of the image, metres.
-    camera : Camera
     T_camera_lidar : ndarray of float64, shape (4, 4)
     image : ndarray of uint8, shape (h, w, 3), optional
         BGR; without it points stand alone.

@@ -52,15 +52,10 @@ def inspect_recording(
 
     Parameters
     ----------
-    recording : Dataset
     poses : ndarray of float64, shape (n, 4, 4), optional
         ``T_world_lidar`` of another SLAM; those of the recording if left out.
     opening : iterable of Finding
         Of opening the recording.
-
-    Returns
-    -------
-    Inspection
     """
     result = Inspection(findings=list(opening))
     given = recording.poses if poses is None else poses

@@ -59,10 +59,8 @@ def check_sweeps(
 
     Parameters
     ----------
-    recording : Dataset
     files : list of list of Path
         Of each sweep.
-    parameters : Parameters
     has_poses : bool
         Given poses need no odometry, so sweeps may be taken seldom: by a scanner that is carried
         from place to place.
@@ -71,7 +69,6 @@ def check_sweeps(
     -------
     sweeps : dict of int to Sweep
         Those that could be read, by index.
-    findings : list of Finding
     """
     sizes = np.array([_size(of_sweep[0]) if of_sweep else 0 for of_sweep in files], np.int64)
     found = [*_check_period(recording, has_poses), *_check_sizes(files, sizes)]
@@ -102,13 +99,7 @@ def of_broken(broken: Collector, count: int) -> list[Finding]:
 
 
 def check_sweep(sweep: Sweep, place: str) -> list[Finding]:
-    """Check points and times of one sweep.
-
-    Raises
-    ------
-    DatasetError
-        It is broken.
-    """
+    """Check points and times of one sweep."""
     found = _check_points(sweep, place)
     _check_times(sweep, place)
     return found

@@ -90,8 +90,6 @@ def classify(
     Parameters
     ----------
     ground : ndarray of bool, shape (N,)
-    votes : Votes
-    parameters : DynamicsParameters, optional
     points : ndarray of float32, shape (N, 3), optional
         The deskewed sweep, LiDAR frame, metres.
     mesh : ScanMesh, optional

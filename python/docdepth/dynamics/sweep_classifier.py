@@ -36,7 +36,6 @@ class Evidence(NamedTuple):
 
     Attributes
     ----------
-    labels : Labels
     objects : ndarray of uint32, shape (N,)
         From :func:`docdepth.dynamics.classes.cluster_objects`.
     porous : ndarray of bool, shape (N,)
@@ -83,7 +82,6 @@ class SweepClassifier:
     ----------
     trajectory : Trajectory
         One pose a sweep.
-    parameters : DynamicsParameters
     timer : Timer, optional
         Takes the times of the steps.
 

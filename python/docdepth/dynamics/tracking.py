@@ -235,7 +235,6 @@ def label_by_tracks(
         The deskewed sweep, LiDAR frame, metres.
     objects : ndarray of uint32, shape (N,)
         From :func:`cluster_objects`.
-    votes : Votes
     classid : ndarray of uint16, shape (N,)
         By the votes on this sweep.
     result : TrackedSweep
@@ -293,7 +292,6 @@ def withdraw_untracked(
     ground : ndarray of bool, shape (N,)
     points : ndarray of float32, shape (N, 3)
         The deskewed sweep, LiDAR frame, metres.
-    votes : Votes
     porous : ndarray of bool, shape (N,)
         Of :class:`docdepth.dynamics.voting.OccupancyIntervals`.
 

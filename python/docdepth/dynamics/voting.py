@@ -65,13 +65,7 @@ class Votes(ShortRepr):
     occupancy: OccupancyIntervals | None = None
 
     def occupancy_by_sweep(self, key_frames: NDArray[np.int64], sweep: int) -> OccupancyIntervals:
-        """When the points were occupied, by sweeps; ``sweep`` found all of them occupied itself.
-
-        Raises
-        ------
-        InputError
-            The votes were kept without their order.
-        """
+        """When the points were occupied, by sweeps; ``sweep`` found all of them occupied itself."""
         if self.occupancy is None:
             raise InputError("tracking needs votes with their order; vote again")
         once, porous, first, last = self.occupancy
@@ -93,7 +87,6 @@ class KeyFrame:
         The deskewed sweep, LiDAR frame, metres. Rows that are not finite or lie at the origin are
         no returns and are left out.
     ground : ndarray of bool, shape (N,)
-    parameters : DynamicsParameters, optional
     mesh : ScanMesh, optional
         Of these points; made here when needed and not given.
     sensor_rig : SensorRig, optional
@@ -160,10 +153,6 @@ def vote(
         Of 24 key frames or more whose times are known, a third votes on a quarter of the points
         first, and all of them only near directions where anything was found free. Elsewhere points
         take the votes on a point near them, three for one.
-
-    Returns
-    -------
-    Votes
     """
     voters = [
         (core, T_world_key @ T_lidar_sensor)
@@ -259,11 +248,6 @@ class KeyFrames:
     crawls or stands, to see cross traffic come and go, and near the ends of the drive, where a
     sweep has key frames on one side only. A key frame votes once, never on its own sweep, and not
     over a gap: a car that parks may have left in it.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-    parameters : DynamicsParameters, optional
     """
 
     def __init__(

@@ -125,7 +125,6 @@ class FittedCamera:
 
     Attributes
     ----------
-    check : CalibrationCheck
     fit : CameraFit, optional
         With fits without each quarter of the drive; None where images are too few.
     stream : CameraStream
@@ -180,15 +179,6 @@ def fit_calibration(
         Its name; needed if the run has several.
     progress : callable, optional
         Called with ``"camera"``, the images done and their number.
-
-    Raises
-    ------
-    RunError
-        The run has no depth maps, or they are out of date.
-    DatasetError
-        The recording has no images, or a file cannot be read.
-    CalibrationError
-        The run draws splats, there are too few edges to tell, or they fit by chance only.
     """
     found = edges_of_run(run, camera, progress, FITTED_IMAGES)
     check, stream = compare(found), found.stream
@@ -224,15 +214,7 @@ def edges_of_run(
 def images_and_maps(
     folder: RunFolder, camera: str | None, purpose: str
 ) -> tuple[CameraStream, dict[str, Path]]:
-    """A camera of a run with its images, and its depth maps by name.
-
-    Raises
-    ------
-    RunError
-        The run has no depth maps, or they are out of date.
-    DatasetError
-        The recording has no images for this purpose.
-    """
+    """A camera of a run with its images, and its depth maps by name."""
     name = folder.depth_folder(camera)
     require(folder, f"render {folder.camera_in(name)}")
     stream = recorded_camera(folder, name)
@@ -253,7 +235,6 @@ def difference(
     ----------
     maps : iterable of ndarray of float32, shape (h, w)
         Metres along the optical axis; NaN without depth.
-    camera : Camera
     change : ndarray of float64, shape (6,)
         Of points in the camera's frame: turn about its axes x, y, z [rad], then shift [m].
     max_depth : float

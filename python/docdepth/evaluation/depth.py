@@ -67,7 +67,6 @@ class DepthResult(Figures):
         What was compared, as a sentence.
     poses : str
         Source of the poses.
-    images : int
     max_range : float
         Pixels with a larger true depth are not compared [m].
     density : float
@@ -164,11 +163,6 @@ class DepthEvaluation:
         Pixels with a larger true depth are not compared [m].
     poses : str
         Source of the poses; printed with the metrics.
-
-    Raises
-    ------
-    InputError
-        The mode is unknown.
     """
 
     def __init__(
@@ -215,11 +209,6 @@ class DepthEvaluation:
         -------
         DepthErrors
             KITTI's metrics of this image.
-
-        Raises
-        ------
-        InputError
-            The arrays differ in size, or a depth is negative or infinite.
         """
         predicted, truth = _depth("predicted", predicted), _depth("true", truth)
         other = None if other is None else _depth("other", other)

@@ -72,7 +72,6 @@ class DepthTruth:
     folder : Path
         Folder of depth maps in any format, beside which ``class_2`` may mark what moves; or a drive
         of KITTI's depth completion, or ``val_selection_cropped``, which hold maps of some images.
-    run : RunFolder
     depth_folder : str
         Of the camera, in ``depth/`` of the run.
 
@@ -80,11 +79,6 @@ class DepthTruth:
     ----------
     maps : dict of str to Path
         Depth maps of the run that have a true one.
-
-    Raises
-    ------
-    DatasetError
-        The run has no depth maps, or the truth has none of its images.
     """
 
     def __init__(self, folder: Path, run: RunFolder, depth_folder: str) -> None:

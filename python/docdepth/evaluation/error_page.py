@@ -70,7 +70,6 @@ class ErrorPage:
 
     Attributes
     ----------
-    title : str
     what : str
         One sentence on what is compared with what.
     titles, legends : dict of str to str
@@ -103,13 +102,7 @@ class ErrorPage:
         self._worst = sorted(self._worst, key=lambda entry: entry[:2], reverse=True)[:WORST]
 
     def write(self, path: Path, tables: Iterable[Table], found: Iterable[str] = ()) -> None:
-        """Write the page.
-
-        Raises
-        ------
-        DatasetError
-            There is a file that is no page of docdepth, or none can be written.
-        """
+        """Write the page."""
         leaves = [leaf for _, _, leaf in self._worst]
         parts = [head(self.title, FLIP_STYLE + _STYLE), f"<p>{escape(self.what)}</p>"]
         parts += [f"<p><b>warning:</b> {escape(line)}</p>" for line in found]
@@ -148,7 +141,6 @@ class DepthPage(ErrorPage):
 
     Parameters
     ----------
-    title : str
     max_range : float
         Pixels with a larger true depth are not compared [m].
     stream : CameraStream, optional
@@ -185,7 +177,6 @@ class HeldOutPage(ErrorPage):
 
     Parameters
     ----------
-    title : str
     max_range : float
         Returns that are farther are not shown [m].
     left_out : str

@@ -175,17 +175,6 @@ def evaluate_held_out(
         Beams of the sweep, or a LiDAR of the rig in all sweeps; the whole sweep if left out.
     look : callable, optional
         Called with each :class:`HeldOutView`.
-
-    Returns
-    -------
-    HeldOutResult
-
-    Raises
-    ------
-    InputError
-        There are fewer than three sweeps, ``every`` is below 1, or there is no such LiDAR.
-    RunError
-        A sweep is not classified.
     """
     folder = RunFolder.open(run)
     require(folder, "classify")

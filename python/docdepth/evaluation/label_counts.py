@@ -39,13 +39,7 @@ def ignored(labels: NDArray[np.uint32]) -> NDArray[np.bool_]:
 
 
 def classes_of(labels: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """SemanticKITTI class of each label, (N,).
-
-    Raises
-    ------
-    InputError
-        Labels are not integers of shape (N,).
-    """
+    """SemanticKITTI class of each label, (N,)."""
     labels = np.asarray(labels)
     if labels.ndim != 1 or labels.dtype.kind not in "ui":
         raise InputError(

@@ -51,7 +51,6 @@ class LabelResult(Figures):
         What was compared, as a sentence.
     poses : str
         Source of the poses.
-    sweeps : int
     counts : LabelCounts
         Static points, and dynamic points of moving classes. With speeds, only those that move at
         that moment are dynamic; points of standing objects of a moving class are left out.
@@ -165,11 +164,6 @@ class LabelEvaluation:
             Speed of each point's object over ground at that moment [m/s]; for all sweeps or none.
         seconds : float
             Time from sweep to sweep [s]; until the next one an object keeps its speed.
-
-        Raises
-        ------
-        InputError
-            The arrays do not belong to the same points.
         """
         truth, counted = moving(labels), ~ignored(labels)
         dynamic = np.asarray(dynamic)
@@ -209,13 +203,7 @@ class LabelEvaluation:
         self._with_speeds += speeds is not None
 
     def result(self) -> LabelResult:
-        """Metrics of all sweeps added so far.
-
-        Raises
-        ------
-        InputError
-            Only some sweeps had speeds.
-        """
+        """Metrics of all sweeps added so far."""
         if self._with_speeds not in (0, self._sweeps):
             raise InputError(
                 f"speeds were given for {self._with_speeds} of {self._sweeps} sweeps; "

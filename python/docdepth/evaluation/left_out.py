@@ -64,13 +64,7 @@ class LeftOut:
         return self.lidar is None and self.beams is None and self.sectors is None
 
     def view(self, frame: LidarFrame) -> LidarView:
-        """The returns that are left out, as their LiDAR saw them; other rows are NaN.
-
-        Raises
-        ------
-        InputError
-            The sweep has no returns of the LiDAR that is left out, or of no other one.
-        """
+        """The returns that are left out, as their LiDAR saw them; other rows are NaN."""
         views = {number: view for number, view in _by_number(frame)}
         number = min(views) if self.lidar is None else self.lidar
         if number not in views or (self.lidar is not None and len(views) < 2):
@@ -178,7 +172,6 @@ def between_sides(points: NDArray[np.float32], view: LidarView) -> NDArray[np.bo
     ----------
     points : ndarray of float32, shape (N, 3)
         LiDAR frame of the sweep [m].
-    view : LidarView
     """
     corners, mesh = _mesh(view)
     directions = _directions(corners)[mesh.triangles[mesh.discontinuity].astype(np.int64)]

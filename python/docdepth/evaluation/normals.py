@@ -64,7 +64,6 @@ class NormalResult(Figures):
 
     Attributes
     ----------
-    images : int
     errors : dict of str to NormalErrors
         ``all``, and each true class, where the truth tells it.
     """
@@ -186,13 +185,6 @@ def evaluate_normals(
         Needed if the run has several.
     progress : callable, optional
         Called with ``"normals"``, the images done and their number.
-
-    Raises
-    ------
-    DatasetError
-        True depth maps are missing, or not exact.
-    RunError
-        The run has several cameras and none is named, or its maps are damaged or out of date.
     """
     opened = Run(run)
     subfolder = opened.folder.depth_folder(camera)

@@ -30,7 +30,6 @@ def project(
 
     Parameters
     ----------
-    camera : Camera
     T_camera_lidar : ndarray of float64, shape (4, 4)
     points : ndarray of float32, shape (N, 3)
         LiDAR frame [m]; rows that are not finite are ignored.

@@ -58,13 +58,6 @@ def evaluate_labels(
         Called with ``"labels"``, the sweeps done and their number.
     look : callable, optional
         Called for each sweep as :meth:`docdepth.evaluation.error_page.LabelPage.look`.
-
-    Raises
-    ------
-    DatasetError
-        The folder or a label file is missing, or a file has another number of points.
-    RunError
-        A sweep is not classified.
     """
     folder = RunFolder.open(run)
     require(folder, "classify")
@@ -115,15 +108,6 @@ def evaluate_tracks(
         boxes are not compared.
     progress : callable, optional
         Called with ``"tracks"``, the sweeps done and their number.
-
-    Raises
-    ------
-    DatasetError
-        The folder or a label file is missing, or a file has another number of points.
-    RunError
-        A sweep is not classified, or a file of tracks is damaged.
-    MissingExtraError
-        motrics or scipy is not installed.
     """
     folder = RunFolder.open(run)
     require(folder, "classify")
@@ -205,16 +189,6 @@ def evaluate_depth(
     other : Path, optional
         Another run, or a folder of the depth maps of another method, of the same names. Both are
         compared over the pixels that both fill.
-
-    Raises
-    ------
-    DatasetError
-        The folder or all true depth maps are missing, the run has no depth maps, or the other
-        method lacks one.
-    InputError
-        Maps of one image differ in size.
-    RunError
-        The run has several cameras and none is named, or its depth maps are damaged or out of date.
     """
     folder = RunFolder.open(run)
     depth = truth_folder(depth, "depth_2", folder)

@@ -124,15 +124,6 @@ def time_offset(
         Its name; needed if the run has several.
     progress : callable, optional
         Called with ``"time offset"``, the windows done and their number.
-
-    Raises
-    ------
-    RunError
-        The run has no depth maps, or they are out of date.
-    DatasetError
-        The recording has no images, or a file cannot be read.
-    CalibrationError
-        The drive does not tell the offset to ten milliseconds, or it is larger than 0.2 s.
     """
     folder = RunFolder.open(run)
     stream, maps = images_and_maps(folder, camera, "follow points in")
@@ -189,13 +180,7 @@ def _windows(
 def offset_of(
     windows: Sequence[Window], stream: CameraStream, trajectory: Trajectory, path: Path
 ) -> TimeOffset:
-    """The offset that fits points that were followed; ``path`` is named in errors.
-
-    Raises
-    ------
-    CalibrationError
-        They do not tell it.
-    """
+    """The offset that fits points that were followed; ``path`` is named in errors."""
     moved = _Motion(windows, stream, trajectory)
     if moved.count < _FEWEST_POINTS or moved.used < _FEWEST_WINDOWS:
         raise CalibrationError(

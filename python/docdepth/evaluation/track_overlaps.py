@@ -107,13 +107,7 @@ class TrackScores(Figures):
 
 
 def track_packages() -> tuple[Any, Any]:
-    """``motrics``, which computes HOTA and CLEAR, and ``scipy.optimize``, which assigns instances.
-
-    Raises
-    ------
-    MissingExtraError
-        One of them is not installed.
-    """
+    """``motrics``, for HOTA and CLEAR, and ``scipy.optimize``, which assigns instances."""
     try:
         import motrics
         from scipy import optimize
@@ -125,13 +119,7 @@ def track_packages() -> tuple[Any, Any]:
 
 
 def track_scores(sweeps: Sequence[Overlaps]) -> TrackScores:
-    """Figures of a drive, from the overlaps of each of its sweeps.
-
-    Raises
-    ------
-    MissingExtraError
-        motrics or scipy is not installed.
-    """
+    """Figures of a drive, from the overlaps of each of its sweeps."""
     motrics, _ = track_packages()
     true, made = [o.true.tolist() for o in sweeps], [o.made.tolist() for o in sweeps]
     similarity = [o.iou.tolist() for o in sweeps]
@@ -168,11 +156,6 @@ def right_points(drive: Overlaps) -> dict[int, int]:
     """Points of each true object that its instance has; one instance for each object.
 
     Of all such assignments the one with most points.
-
-    Raises
-    ------
-    MissingExtraError
-        motrics or scipy is not installed.
     """
     _, optimize = track_packages()
     rows, columns = optimize.linear_sum_assignment(drive.shared, maximize=True)

@@ -66,10 +66,8 @@ class MatchedBox(NamedTuple):
         Of the true object.
     true, made : int
         Their ids.
-    errors : tuple of float
     deviation : float
         That the track states [m].
-    kind_right : bool
     """
 
     kind: str
@@ -128,8 +126,6 @@ class TrackResult(Figures):
     ----------
     protocol, poses : str
         What was compared, and the source of the poses.
-    sweeps : int
-    scores : TrackScores
     kinds : dict of str to KindResult
         ``all``, ``vehicle`` and ``person``.
     """
@@ -171,7 +167,6 @@ def box_errors(
 
     Parameters
     ----------
-    true, made : Track
     time : int
         [ns].
     T_true_lidar, T_made_lidar : ndarray of float64, shape (4, 4)
@@ -269,11 +264,6 @@ class TrackEvaluation:
         T_true_lidar, T_made_lidar : ndarray of float64, shape (4, 4), optional
             Pose of the LiDAR in the worlds of the true and of the made tracks; identity if left
             out.
-
-        Raises
-        ------
-        InputError
-            The arrays do not belong to the same points.
         """
         if len(instance) != len(labels) or (speeds is not None and len(speeds) != len(labels)):
             raise InputError(f"{len(labels)} labels need as many instances and speeds")
@@ -292,15 +282,7 @@ class TrackEvaluation:
         self._with_speeds += speeds is not None
 
     def result(self) -> TrackResult:
-        """Figures of all sweeps added so far.
-
-        Raises
-        ------
-        InputError
-            Only some sweeps had speeds.
-        MissingExtraError
-            motrics or scipy is not installed.
-        """
+        """Figures of all sweeps added so far."""
         if self._with_speeds not in (0, len(self._sweeps)):
             raise InputError("give the speeds of all sweeps or of none")
         often: Counter[int] = Counter()

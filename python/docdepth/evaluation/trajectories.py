@@ -123,11 +123,6 @@ def compare_trajectories(
         Where their times differ, the truth is interpolated; poses outside it are left out.
     source : str
         Where the poses are from; printed with the figures.
-
-    Raises
-    ------
-    InputError
-        Fewer than three poses lie within the time of the truth.
     """
     inside = truth.covers(made.times)
     if np.count_nonzero(inside) < 3:
@@ -160,20 +155,10 @@ def evaluate_trajectories(run: Path | str | RunFolder, poses: Path | str) -> Tra
 
     Parameters
     ----------
-    run : Path, str or RunFolder
     poses : Path or str
         As of ``docdepth run --poses``: a file of poses of the LiDAR, ``CAMERA:FILE``, or
         ``dataset`` for those of the recording. A file has a pose for each sweep of the recording;
         or the times of its poses, at any rate.
-
-    Raises
-    ------
-    DatasetError, OdometryError
-        The recording or the file has no such poses.
-    InputError
-        Fewer than three poses lie within the time of the truth.
-    RunError
-        The poses of the run are missing, damaged or out of date.
     """
     folder = RunFolder.open(run)
     require(folder, "odometry", frames=False)

@@ -28,7 +28,6 @@ def export(
 
     Parameters
     ----------
-    run : Run or Path
     output : Path
         A new folder.
     to : str
@@ -40,13 +39,6 @@ def export(
     -------
     int
         Images, or sweeps of occupancy.
-
-    Raises
-    ------
-    ConfigError
-        ``output`` is there, or there is no such layout.
-    RunError
-        The run has no depth maps, no photos or no frames, or is damaged.
     """
     output = Path(output)
     if to not in EXPORTS:

@@ -39,11 +39,6 @@ def write_mcap(run: Run, output: Path, progress: Progress | None = None) -> int:
     -------
     int
         Images.
-
-    Raises
-    ------
-    MissingExtraError
-        rosbags is not installed.
     """
     extra("rosbags", "MCAP needs rosbags", "bags")
     from rosbags.rosbag2 import StoragePlugin, Writer

@@ -32,7 +32,6 @@ class Photo(NamedTuple):
 
     Attributes
     ----------
-    image : RunImage
     name : str
         ``CAMERA/NAME``.
     rgb : ndarray of uint8, shape (h, w, 3)
@@ -51,13 +50,7 @@ class Photo(NamedTuple):
 
 
 def photos(run: Run, progress: Progress | None) -> Iterator[Photo]:
-    """The photos of all recorded cameras of a run, read one by one.
-
-    Raises
-    ------
-    RunError
-        There is none.
-    """
+    """The photos of all recorded cameras of a run, read one by one."""
     recorded = [n for n, entry in run.folder.cameras.items() if entry.virtual is None]
     images = [image for name in recorded for image in run.cameras[name]]
     count = 0

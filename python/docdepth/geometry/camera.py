@@ -91,13 +91,7 @@ class Camera(ShortRepr):
 
 
 def camera_of(K: ArrayLike, size: tuple[int, int], where: str) -> Camera:
-    """The camera that ``where`` tells of, which errors name.
-
-    Raises
-    ------
-    CalibrationError
-        As for :class:`Camera`.
-    """
+    """The camera that ``where`` tells of, which errors name."""
     try:
         return Camera(np.asarray(K, np.float64), *size)
     except CalibrationError as error:
@@ -119,7 +113,6 @@ class View(NamedTuple):
 
     Attributes
     ----------
-    camera : Camera
     T_camera_world : ndarray of float64, shape (4, 4)
     time : int
         Nanoseconds.
@@ -133,13 +126,7 @@ class View(NamedTuple):
     def at(
         cls, camera: Camera, T_camera_lidar: NDArray[np.float64], trajectory: Trajectory, time: int
     ) -> View:
-        """The view of a camera that is mounted with the LiDAR, at ``time`` [ns] (paper V-A).
-
-        Raises
-        ------
-        InputError
-            ``time`` lies outside the trajectory.
-        """
+        """The view of a camera that is mounted with the LiDAR, at ``time`` [ns] (paper V-A)."""
         if not trajectory.covers(time):
             first, last = trajectory.times[[0, -1]]
             raise InputError(

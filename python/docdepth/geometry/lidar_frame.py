@@ -194,17 +194,11 @@ def lidar_views(points: NDArray[np.float32], sensor_rig: SensorRig | None) -> It
     ----------
     points : ndarray of float32, shape (N, 3)
         LiDAR frame of the sweep, metres.
-    sensor_rig : SensorRig, optional
 
     Yields
     ------
     LidarView
         One for each LiDAR, in order of ``lidar_id``.
-
-    Raises
-    ------
-    InputError
-        The rig is of another number of points.
     """
     if sensor_rig is None:
         yield LidarView(points, np.eye(4), None)
@@ -271,13 +265,7 @@ class LidarFrame(ShortRepr):
 
     @property
     def classes(self) -> NDArray[np.uint16]:
-        """``classid``, which must be there.
-
-        Raises
-        ------
-        InputError
-            There are no classes.
-        """
+        """``classid``, which must be there."""
         if self.classid is None:
             raise InputError(f"sweep {self.name} has no classes")
         return self.classid

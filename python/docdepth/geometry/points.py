@@ -67,11 +67,6 @@ def check_points(points: Any) -> NDArray[np.float32]:
     ----------
     points : ndarray of float, shape (N, 3) or (N, 4), or an array of another library
         Metres.
-
-    Raises
-    ------
-    InputError
-        They are none of these.
     """
     array = as_array(points)
     if array.ndim != 2 or array.shape[1] not in (3, 4) or array.dtype.kind != "f":
@@ -98,13 +93,7 @@ def _tell_conversion(dtype: str, columns: int) -> None:
 
 
 def as_array(values: Any) -> NDArray[Any]:
-    """An array of NumPy, or of a library that has ``__array__`` or DLPack.
-
-    Raises
-    ------
-    InputError
-        It is on another device, or none.
-    """
+    """An array of NumPy, or of a library that has ``__array__`` or DLPack."""
     try:
         if hasattr(values, "__dlpack__") and not hasattr(values, "__array__"):
             return np.from_dlpack(values)
@@ -114,13 +103,7 @@ def as_array(values: Any) -> NDArray[Any]:
 
 
 def check_classes(classid: Any) -> NDArray[np.uint16]:
-    """Classes as uint16; of bool, true is what moves.
-
-    Raises
-    ------
-    InputError
-        They are no integers from 0 to 65535.
-    """
+    """Classes as uint16; of bool, true is what moves."""
     array = as_array(classid)
     if array.dtype == np.bool_:
         return np.where(array, np.uint16(DYNAMIC), np.uint16(STATIC))
@@ -134,13 +117,7 @@ def check_classes(classid: Any) -> NDArray[np.uint16]:
 def check_sweep(
     points: NDArray[np.float32], ground: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Points and their ground flags as contiguous arrays.
-
-    Raises
-    ------
-    InputError
-        As for :func:`check_points`, or ground is not bool of shape (N,).
-    """
+    """Points and their ground flags as contiguous arrays."""
     points, ground = check_points(points), np.asarray(ground)
     if ground.dtype != np.bool_ or ground.shape != points.shape[:1]:
         raise InputError(
@@ -174,13 +151,7 @@ def _short(value: Any) -> str:
 
 
 def float_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """A copy of ``values`` as float64.
-
-    Raises
-    ------
-    InputError
-        They are no numbers, or rows differ in length.
-    """
+    """A copy of ``values`` as float64."""
     try:
         return np.array(values, np.float64)
     except (TypeError, ValueError):
@@ -190,11 +161,7 @@ def float_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
 def nanoseconds(name: str, values: ArrayLike) -> NDArray[np.int64]:
     """A copy of times as int64 nanoseconds; NumPy's ``datetime64`` is converted.
 
-    Raises
-    ------
-    InputError
-        They are no whole numbers of nanoseconds. A float holds those of today to 256 ns only, and
-        is more likely to be meant in seconds.
+    Floats are refused: they hold nanoseconds of today to 256 ns, and are probably seconds.
     """
     try:
         array = np.asarray(values)

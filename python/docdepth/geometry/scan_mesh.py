@@ -13,13 +13,7 @@ from docdepth.geometry.points import check_points
 
 
 class LidarMesh(NamedTuple):
-    """The mesh of what one LiDAR of a rig measured.
-
-    Attributes
-    ----------
-    view : LidarView
-    core : _core.ScanMesh
-    """
+    """The mesh of what one LiDAR of a rig measured."""
 
     view: LidarView
     core: _core.ScanMesh
@@ -53,11 +47,6 @@ class ScanMesh:
         Ascending rows of returns in no continuous triangle (poles, twigs, wires).
     parts : list of LidarMesh
         One for each LiDAR.
-
-    Raises
-    ------
-    InputError
-        ``points`` has another shape or dtype.
     """
 
     def __init__(

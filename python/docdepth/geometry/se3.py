@@ -20,13 +20,7 @@ _SHORTEST_QUATERNION = 1e-6
 
 
 def check_rigid(poses: NDArray[np.float64]) -> None:
-    """Refuse poses that are not rotations and translations, or lie beyond the Earth.
-
-    Raises
-    ------
-    InputError
-        Names the first such frame.
-    """
+    """Refuse poses that are not rotations and translations, or lie beyond the Earth."""
     finite = np.isfinite(poses).all(axis=(1, 2))
     affine = (poses[:, 3] == (0, 0, 0, 1)).all(axis=1)
     bad = np.flatnonzero(~(finite & affine & are_rotations(poses[:, :3, :3])))

@@ -51,11 +51,6 @@ class Track:
     surface_deviations : ndarray of float64, shape (n,)
         The same of what each sweep saw of its surface, across itself [m]: the place of a lorry may
         be known badly along its side, and that of its side well.
-
-    Raises
-    ------
-    InputError
-        Shapes do not fit, times do not increase, or id or kind are none.
     """
 
     id: int
@@ -154,10 +149,6 @@ class Track:
 
 class Tracks(Mapping[int, Track]):
     """The tracks of a drive by id. Those of a time are found without looking at the others.
-
-    Parameters
-    ----------
-    tracks : iterable of Track, or Tracks
 
     Attributes
     ----------

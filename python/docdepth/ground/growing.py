@@ -49,13 +49,7 @@ class GroundMap:
         self.label = self._map.label
 
     def insert(self, points: NDArray[np.float32], T_world_lidar: NDArray[np.float64]) -> None:
-        """Merge usable points (N, 3) of a sweep; a seed of the ground is chosen below its pose.
-
-        Raises
-        ------
-        InputError
-            A point lies too far from the first pose.
-        """
+        """Merge usable points (N, 3) of a sweep; a seed of the ground is chosen below its pose."""
         try:
             self._map.insert(points, T_world_lidar)
         except IndexError as error:
@@ -145,14 +139,12 @@ def label_chunk(
 
     Parameters
     ----------
-    chunk : Chunk
     read : callable
         Gives the points of a sweep, float32 (N, 3), LiDAR frame, metres. It is called from several
         threads, and twice for sweeps that are labelled: labels are known when all sweeps have been
         merged, and a chunk's sweeps together are too large to be kept.
     trajectory : Trajectory
         Of the whole drive.
-    parameters : GroundParameters
     threads : int
         0 for all cores.
     progress : callable, optional

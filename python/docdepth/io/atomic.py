@@ -67,7 +67,6 @@ def write_atomically(
 
     Parameters
     ----------
-    path : Path
     write : callable
         Called with the file.
     sync : bool
@@ -75,11 +74,6 @@ def write_atomically(
         after a killed run, but perhaps not after a power failure.
     before_rename : callable, optional
         Called when the content is on disk.
-
-    Raises
-    ------
-    RunError
-        The disk is full or the folder cannot be written; earlier files are intact.
     """
     part = path.with_name(f".{path.name}.part")
     try:
@@ -124,13 +118,7 @@ def checksum(path: Path) -> int:
 
 
 def write_output(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Write a file in a folder that a user named; one with other content becomes ``NAME.old``.
-
-    Raises
-    ------
-    RunError
-        The file cannot be written.
-    """
+    """Write a file in a folder that a user named; one with other content becomes ``NAME.old``."""
 
     def keep(written: Written) -> None:
         if not has_content(path, written):
@@ -176,11 +164,6 @@ def locked(file: Path, folder: Path, what: str) -> Iterator[None]:
         For messages.
     what : str
         What the process does, for the others' message.
-
-    Raises
-    ------
-    RunError
-        Another process works in the folder, or the folder cannot be written.
     """
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

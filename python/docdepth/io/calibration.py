@@ -38,7 +38,6 @@ class CameraCalibration:
         Of the camera; empty if the file does not tell.
     camera : Camera, optional
         None in a file with the extrinsic alone.
-    distortion : list of float
     model : {"pinhole", "fisheye"}
     """
 
@@ -62,7 +61,6 @@ def write_calibration(
 
     Parameters
     ----------
-    folder : Path
     camera : Camera
         The rectified camera.
     T_camera_lidar : ndarray of float64, shape (4, 4)
@@ -74,11 +72,6 @@ def write_calibration(
         Writes each file.
     more : dict, optional
         Further entries of the first file, ready for JSON.
-
-    Raises
-    ------
-    RunError
-        A file cannot be written.
     """
     calibration: dict[str, object] = {
         "mtx": camera.K.tolist(),
@@ -98,11 +91,6 @@ def read_calibration(folder: Path, remedy: str) -> tuple[Camera, NDArray[np.floa
 
     Without an image size, as in the official release, the principal point is taken for the centre
     of the image.
-
-    Raises
-    ------
-    CalibrationError
-        A file is missing or damaged.
     """
     found = _read(folder / INTRINSICS, _camera, remedy)
     return found[0], _read(folder / EXTRINSICS, _extrinsic, remedy), found[1]
@@ -116,11 +104,6 @@ def read_camera_calibration(file: Path) -> CameraCalibration:
     file : Path
         ``calib.json``, whose extrinsic may stand in ``calib_lidar_ref_cam.txt`` beside it; or a
         text file with the extrinsic alone.
-
-    Raises
-    ------
-    CalibrationError
-        A file is missing or damaged.
     """
     remedy = "name calib.json of `docdepth.calibration.calibrate()`, or a text file of a 4x4 matrix"
     if file.suffix != ".json":

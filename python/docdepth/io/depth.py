@@ -53,7 +53,7 @@ def png_range(scale: float = PNG_SCALE) -> float:
 def encode_depth(
     depth: NDArray[np.float32], format: str = "png", scale: float = PNG_SCALE
 ) -> bytes:
-    """A depth map as the content of a file.
+    """A depth map as the content of a file. What the format cannot hold is refused, never clipped.
 
     Parameters
     ----------
@@ -63,14 +63,6 @@ def encode_depth(
         One of :data:`FORMATS`.
     scale : float
         Steps of a PNG a metre; other formats ignore it.
-
-    Raises
-    ------
-    InputError
-        The format is unknown, or a depth is not positive or too large for the format. No value
-        overflows or is clipped.
-    MissingExtraError
-        The format needs a package that is not installed.
     """
     depth = _checked(depth)
     _check_scale(scale)
@@ -136,13 +128,6 @@ def check_format(format: str, scale: float, max_depth: float) -> None:
         Steps of a PNG a metre.
     max_depth : float
         Largest depth that will be rendered, metres.
-
-    Raises
-    ------
-    InputError
-        The format cannot hold this depth.
-    MissingExtraError
-        The format needs a package that is not installed.
     """
     if format == "png" and max_depth > png_range(scale):
         most = 2.0 ** np.floor(np.log2(_PNG_MOST / max_depth))
@@ -202,10 +187,6 @@ def read_depth(path: Path | str, scale: float | None = None) -> NDArray[np.float
 def maps_in(folder: Path) -> dict[str, Path]:
     """Depth maps of a folder by name; if a map has several formats, the most exact one.
 
-    Parameters
-    ----------
-    folder : Path
-
     Returns
     -------
     dict of str to Path
@@ -224,10 +205,6 @@ def described_maps(folder: Path) -> dict[str, tuple[int, float]]:
     ----------
     folder : Path
         With :data:`DESCRIPTION`; without it no map is described.
-
-    Raises
-    ------
-    DamagedFileError
     """
     path = folder / DESCRIPTION
     try:

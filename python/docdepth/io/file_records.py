@@ -46,7 +46,6 @@ class FileRecords:
 
     Parameters
     ----------
-    folder : Path
     path : Path
         File of the records, a line for each file that is written or deleted.
     """
@@ -164,7 +163,6 @@ class FileRecords:
 
         Parameters
         ----------
-        name : str
         verify : bool
             Compare the content also where size and time are those of the record.
         """

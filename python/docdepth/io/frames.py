@@ -71,13 +71,7 @@ def _stored_quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _trajectory_type(times: NDArray[np.int64], path: Path) -> np.dtype[Any]:
-    """Of a row of a trajectory with these stamps.
-
-    Raises
-    ------
-    InputError
-        A stamp is centuries from 1970.
-    """
+    """Of a row of a trajectory with these stamps."""
     first, last = int(times[0]) // _SECOND, int(times[-1]) // _SECOND
     for kind, (low, end) in _SECONDS.items():
         if low <= first and last < end:
@@ -90,13 +84,7 @@ def _trajectory_type(times: NDArray[np.int64], path: Path) -> np.dtype[Any]:
 
 
 def read_trajectory(path: Path) -> tuple[Trajectory, NDArray[np.int64]]:
-    """Read poses and their frame indices; ``qx`` is read like ``q_x``.
-
-    Raises
-    ------
-    RunError
-        The file is missing, truncated or lacks a column.
-    """
+    """Read poses and their frame indices; ``qx`` is read like ``q_x``."""
     rows, _ = read_vertices(path)
     names = rows.dtype.names or ()
     try:
@@ -127,13 +115,7 @@ def read_trajectory(path: Path) -> tuple[Trajectory, NDArray[np.int64]]:
 
 
 def read_whole_trajectory(path: Path) -> Trajectory:
-    """The poses of a run, one a frame; read once, since all chunks of a worker ask for them.
-
-    Raises
-    ------
-    RunError
-        As for :func:`read_trajectory`, or a frame has no pose.
-    """
+    """The poses of a run, one a frame; read once, since all chunks of a worker ask for them."""
     return _whole_trajectory(path, _identity(path))
 
 
@@ -161,13 +143,7 @@ def write_sensors(path: Path, sensor_rig: SensorRig, write_file: WriteFile) -> N
 
 
 def read_sensors(path: Path, sensor: NDArray[np.uint8]) -> SensorRig:
-    """Where the rays of points begin, by the sensor of each.
-
-    Raises
-    ------
-    RunError
-        The file is missing or damaged.
-    """
+    """Where the rays of points begin, by the sensor of each."""
     try:
         T, offsets, lidars, beam_width = _sensors(path, _identity(path))
         return SensorRig(sensor, T, offsets, lidars, beam_width=float(beam_width))
@@ -205,11 +181,6 @@ def read_frame(
 
     Of the official release, which has no indices, row ``i`` has index ``i``. ``rig_of`` makes the
     sensor rig of the sensor of each point.
-
-    Raises
-    ------
-    RunError
-        The file is missing, truncated or has no coordinates.
     """
     rows, comments = read_vertices(path)
     names = rows.dtype.names or ()
@@ -250,13 +221,7 @@ def write_classes(path: Path, frame: LidarFrame, write_file: WriteFile = write_a
 
 
 def with_classes(frame: LidarFrame, path: Path) -> LidarFrame:
-    """A frame with the classes that :func:`write_classes` wrote.
-
-    Raises
-    ------
-    RunError
-        The file is damaged, or of another number of points.
-    """
+    """A frame with the classes that :func:`write_classes` wrote."""
     try:
         rows = read_array(path)
     except (OSError, ArrayError) as error:
@@ -283,13 +248,7 @@ def _points(path: Path, rows: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def checked(path: Path, points: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The points of a frame, all of which a LiDAR may have seen.
-
-    Raises
-    ------
-    RunError
-        A point is not finite, or farther away than any LiDAR sees.
-    """
+    """The points of a frame, all of which a LiDAR may have seen."""
     if not (np.abs(points) < _FARTHEST).all():
         raise DamagedFileError(path, "a point is not finite, or 1000 km away")
     return points

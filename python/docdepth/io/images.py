@@ -32,7 +32,6 @@ def decode_image(content: bytes | NDArray[np.uint8], flags: int) -> NDArray[Any]
 
     Parameters
     ----------
-    content : bytes or ndarray of uint8
     flags : int
         As for ``cv2.imdecode``.
     """
@@ -120,13 +119,7 @@ def _chunk(kind: bytes, content: bytes) -> bytes:
 
 
 def import_exr() -> Any:
-    """The module OpenEXR.
-
-    Raises
-    ------
-    MissingExtraError
-        It is not installed.
-    """
+    """The module OpenEXR."""
     # OpenCV's wheels read EXR only if a variable is set before the import, or not at all.
     try:
         import OpenEXR
@@ -136,15 +129,7 @@ def import_exr() -> Any:
 
 
 def encode_exr(depth: NDArray[np.float32], dtype: np.dtype[Any]) -> bytes:
-    """A depth map, (h, w) metres, as an EXR file with a channel Y of this type.
-
-    Raises
-    ------
-    MissingExtraError
-        OpenEXR is not installed.
-    RunError
-        The folder for temporary files cannot be written.
-    """
+    """A depth map, (h, w) metres, as an EXR file with a channel Y of this type."""
     OpenEXR = import_exr()
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     # OpenCV writes one channel Y and reads no other.
@@ -161,15 +146,7 @@ def encode_exr(depth: NDArray[np.float32], dtype: np.dtype[Any]) -> bytes:
 
 
 def read_exr(path: Path) -> NDArray[Any]:
-    """The channel Y or Z of an EXR file, or its only one.
-
-    Raises
-    ------
-    MissingExtraError
-        OpenEXR is not installed.
-    DatasetError
-        The file is damaged or has no such channel.
-    """
+    """The channel Y or Z of an EXR file, or its only one."""
     OpenEXR = import_exr()
     try:
         with OpenEXR.File(str(path)) as image:

@@ -173,13 +173,7 @@ class RunInputs(Checked):
 
 
 def names_in(texts: str | Sequence[str] | None) -> tuple[str, ...] | None:
-    """Names of cameras from a text, or several, of one or more with commas; None if none.
-
-    Raises
-    ------
-    ConfigError
-        A name is empty.
-    """
+    """Names of cameras from a text, or several, of one or more with commas; None if none."""
     every = [texts] if isinstance(texts, str) else list(texts or ())
     every = [name.strip() for text in every for name in text.split(",")]
     if "" in every:

@@ -56,11 +56,6 @@ def label_file(folder: Path, name: str, frame: int) -> Path:
 
     PCD files may be counted instead, as DynamicMap_Benchmark counts them: ``000000.pcd`` is frame 0
     where names of sweeps are no such numbers themselves.
-
-    Raises
-    ------
-    DatasetError
-        There is none.
     """
     for suffix in SUFFIXES:
         if (folder / f"{name}{suffix}").is_file():
@@ -105,11 +100,6 @@ def read_classes(
     classid : ndarray of uint16, shape (points,)
         0 ground, 50 static, 100 dynamic.
     instance : ndarray of uint16, shape (points,), or None
-
-    Raises
-    ------
-    DatasetError
-        The file is damaged, or has another number of labels.
     """
     if file.suffix == ".npy":
         return _classes_of(_read_npy(file, frame), file, points, frame), None
@@ -121,13 +111,7 @@ def read_classes(
 
 
 def read_labels(file: Path, points: int, frame: int) -> NDArray[np.uint32]:
-    """SemanticKITTI's label of every row of a sweep, shape (points,), from a ``.label`` file.
-
-    Raises
-    ------
-    DatasetError
-        The file is missing or damaged, or has another number of labels.
-    """
+    """SemanticKITTI's label of every row of a sweep, shape (points,), from a ``.label`` file."""
     try:
         content = read_file(file)
     except OSError as error:
@@ -146,13 +130,7 @@ def read_labels(file: Path, points: int, frame: int) -> NDArray[np.uint32]:
 
 
 def read_truth(file: Path, points: int, frame: int) -> NDArray[np.uint32]:
-    """:func:`read_labels` of true labels, whose classes are SemanticKITTI's alone.
-
-    Raises
-    ------
-    DatasetError
-        As there; or a class is of another numbering.
-    """
+    """:func:`read_labels` of true labels, whose classes are SemanticKITTI's alone."""
     labels = read_labels(file, points, frame)
     other = np.setdiff1d(labels & 0xFFFF, _KNOWN)
     if len(other):
@@ -179,10 +157,8 @@ def write_labels(path: Path, frame: LidarFrame, write_file: WriteFile = write_at
 
     Parameters
     ----------
-    path : Path
     frame : LidarFrame
         With classes.
-    write_file : callable
     """
     assert frame.classid is not None
     rows = np.full(frame.input_points, OUTLIER_LABEL, np.uint32)

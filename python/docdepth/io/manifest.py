@@ -138,12 +138,8 @@ class RunManifest(BaseModel):
         Version that started the run.
     inputs : RunInputs, optional
         None where the folder was not made of a recording.
-    derived : DerivedInputs
-    parameters : Parameters
     parameters_at_start : Parameters, optional
         Before a stage changed some.
-    cameras : dict of str to CameraEntry
-    stages : dict of str to StageEntry
     keep : {"frames", "results"}, optional
         What stays once all is done; ``frames`` if absent.
     frames_deleted : dict of str to str, optional
@@ -183,13 +179,7 @@ class RunManifest(BaseModel):
         parameters: Parameters,
         force: bool,
     ) -> None:
-        """Take what the run in folder ``path`` is given now.
-
-        Raises
-        ------
-        RunError
-            It is another run, and that is not forced.
-        """
+        """Take what the run in folder ``path`` is given now."""
         first, comparable = self.parameters_at_start or self.parameters, inputs
         if inputs is not None and self.inputs is not None:
             # Another camera is added to those that the run has.
@@ -217,13 +207,7 @@ class RunManifest(BaseModel):
 
 
 def read_manifest(path: Path) -> RunManifest | None:
-    """The content of run.yaml; None if it is missing or damaged.
-
-    Raises
-    ------
-    ConfigError
-        A parameter is refused: someone has changed it.
-    """
+    """The content of run.yaml; None if it is missing or damaged. A refused parameter raises."""
     try:
         tree = parse_yaml(read_text(path))
     except (OSError, ValueError):

@@ -113,15 +113,10 @@ def _offsets(fields: list[tuple[str, str, int]], size: int) -> list[int]:
 def read_pcd(path: Path) -> tuple[NDArray[Any], PcdHeader]:
     """Rows and header of a PCD file.
 
-    Parameters
-    ----------
-    path : Path
-
     Returns
     -------
     structured ndarray, shape (n,)
         A field for each field of the file.
-    PcdHeader
 
     Raises
     ------
@@ -150,7 +145,6 @@ def write_pcd(
 
     Parameters
     ----------
-    path : Path
     points : ndarray of float32, shape (N, 3)
     intensity : ndarray of float32, shape (N,)
     viewpoint : ndarray of float64, shape (7,)

@@ -83,18 +83,12 @@ def write_vertices(
 
     Parameters
     ----------
-    path : Path
     rows : structured ndarray, shape (n,)
         A field for each property, of 1 to 4 byte integers or 4 or 8 byte floats.
     comments : list of str
         Lines for the header.
     write_file : callable
         Writes the content.
-
-    Raises
-    ------
-    RunError
-        The file cannot be written.
     """
     rows = np.ascontiguousarray(rows.astype(rows.dtype.newbyteorder("<"), copy=False))
     fields = [(name, rows.dtype[name].str[1:]) for name in rows.dtype.names or ()]
@@ -113,20 +107,10 @@ def write_vertices(
 def read_vertices(path: Path) -> tuple[NDArray[Any], list[str]]:
     """Rows of the element ``vertex``, and the comments of the header.
 
-    Parameters
-    ----------
-    path : Path
-
     Returns
     -------
     structured ndarray, shape (n,)
         A field for each property, in the byte order of the machine.
-    list of str
-
-    Raises
-    ------
-    RunError
-        The file is missing, no PLY file or damaged, or a property of its vertices is a list.
     """
     try:
         with open_file(Path(path)) as stream:

@@ -51,12 +51,6 @@ def read_poses(path: Path | str, count: int | None = None) -> NDArray[np.float64
     Returns
     -------
     ndarray of float64, shape (count, 4, 4)
-
-    Raises
-    ------
-    OdometryError
-        The file is missing, of no such format, has a pose that is not rigid, or another number of
-        poses.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -78,11 +72,6 @@ def read_poses_at(path: Path | str, times: NDArray[np.int64]) -> NDArray[np.floa
     """The poses of sweeps at these times [ns].
 
     They are taken in the order of the sweeps. A warning tells where the file has other times.
-
-    Raises
-    ------
-    OdometryError
-        As for :func:`read_poses`.
     """
     poses = read_poses(path, len(times))
     _warn_of_other_times(Path(path), times)
@@ -162,13 +151,7 @@ def _read_npy(path: Path) -> NDArray[np.float64]:
 
 
 def read_timed_poses(path: Path | str) -> tuple[NDArray[np.int64] | None, NDArray[np.float64]]:
-    """All poses of a file of any format, and their times [ns]; None where it has none.
-
-    Raises
-    ------
-    OdometryError
-        As for :func:`read_poses`; or times do not increase.
-    """
+    """All poses of a file of any format, and their times [ns]; None where it has none."""
     path = Path(path)
     poses = read_poses(path)
     if path.suffix.lower() == ".ply":
@@ -179,13 +162,7 @@ def read_timed_poses(path: Path | str) -> tuple[NDArray[np.int64] | None, NDArra
 
 
 def read_tum(path: Path | str) -> Trajectory:
-    """A TUM file with its times, which are kept to the nanosecond.
-
-    Raises
-    ------
-    OdometryError
-        The file is missing, not TUM, has an impossible pose, or its times do not increase.
-    """
+    """A TUM file with its times, which are kept to the nanosecond."""
     rows = _read(Path(path), columns=8)
     try:
         times = np.array([_nanoseconds(line) for line in _lines(Path(path))], dtype=np.int64)
@@ -198,13 +175,7 @@ def read_tum(path: Path | str) -> Trajectory:
 
 
 def read_kitti(path: Path | str) -> NDArray[np.float64]:
-    """All poses (n, 4, 4) of a KITTI file.
-
-    Raises
-    ------
-    OdometryError
-        The file is missing, has lines of other than 12 numbers, or an impossible pose.
-    """
+    """All poses (n, 4, 4) of a KITTI file."""
     return _from_kitti(_read(Path(path), columns=12), path)
 
 

@@ -34,10 +34,6 @@ def check_entries(folder: Path) -> None:
     A run may come from a stranger. A link in it would have files elsewhere read, replaced or
     deleted, and a device or a pipe read without end. Files that docdepth adds to, rather than put
     another in their place, have no second name elsewhere.
-
-    Raises
-    ------
-    RunError
     """
     try:
         entries = list(os.scandir(folder))
@@ -70,7 +66,6 @@ class StagedFile(NamedTuple):
     ----------
     part, path : str
         What it is called now, and what it is to be called; relative to the folder.
-    written : Written
     key : dict
         What it is made of.
     """
@@ -89,10 +84,6 @@ class RecordedFolder:
     A copy in another process (the folder is pickled) is that of a worker. It reads like the folder
     itself. What it writes waits in ``.docdepth/staging`` for :meth:`commit`, so that one process
     alone gives names and keeps records.
-
-    Parameters
-    ----------
-    path : Path
 
     Attributes
     ----------
@@ -127,13 +118,7 @@ class RecordedFolder:
         self.staging = self.state_dir / "staging"
 
     def commit(self, files: Iterable[StagedFile]) -> None:
-        """Give files of a worker their names, and record them.
-
-        Raises
-        ------
-        RunError
-            A file cannot be moved or recorded.
-        """
+        """Give files of a worker their names, and record them."""
         for file in files:
             path = self.path / file.path
             self._record(path, file.written, file.key)
@@ -154,11 +139,6 @@ class RecordedFolder:
         ----------
         what : str
             What is done, for the message that others get.
-
-        Raises
-        ------
-        RunError
-            Another process works there.
         """
         with ExitStack() as stack:
             if not self._lock_depth:
@@ -174,13 +154,7 @@ class RecordedFolder:
         """Raise if another process has changed the folder since it was opened."""
 
     def records(self, folder: Path) -> FileRecords:
-        """Records of the files in a folder of the run.
-
-        Raises
-        ------
-        RunError
-            The folder lies outside, as names out of damaged or hostile files may have it.
-        """
+        """Records of the files in a folder of the run."""
         with self._writing:
             if folder not in self._records:
                 inside = self.path in (folder, *folder.parents)
@@ -223,18 +197,12 @@ class RecordedFolder:
 
         Parameters
         ----------
-        path : Path
         write : callable
             Writes the content.
         key : dict
             What the content is made of: a hash for each stage.
         sync : bool
             See :func:`docdepth.io.atomic.write_atomically`.
-
-        Raises
-        ------
-        RunError
-            The file cannot be written.
         """
         self.records(path.parent)  # refuses what lies outside
         if self.staged is None:

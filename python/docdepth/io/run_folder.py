@@ -108,11 +108,6 @@ class RunFolder(RecordedFolder):
             Continue a run with other inputs or parameters, too.
         derived : DerivedInputs, optional
             What was found in the inputs.
-
-        Raises
-        ------
-        RunError
-            The folder holds another run, or files that are not a run.
         """
         if self.path.exists() and not self.path.is_dir():
             raise RunError(f"{self.path} is a file", "name a folder by `output`")
@@ -149,13 +144,7 @@ class RunFolder(RecordedFolder):
 
     @classmethod
     def open(cls, path: Path | str | RunFolder) -> RunFolder:
-        """An existing run, or an official DOC-Depth folder without run.yaml; an open one as it is.
-
-        Raises
-        ------
-        RunError
-            The folder holds neither, or run.yaml is damaged.
-        """
+        """An existing run, or a folder of the official release; an open one as it is."""
         if isinstance(path, RunFolder):
             return path
         run = cls(Path(path))
@@ -184,13 +173,7 @@ class RunFolder(RecordedFolder):
 
     @property
     def inputs(self) -> RunInputs:
-        """What the run is made of.
-
-        Raises
-        ------
-        RunError
-            It was not made of a recording.
-        """
+        """What the run is made of."""
         if self.manifest.inputs is None:
             raise RunError(
                 f"{self.path} was not made of a recording",
@@ -257,12 +240,7 @@ class RunFolder(RecordedFolder):
         return self.path / "classes" / f"frame_{index:06d}.npy"
 
     def check_has_frames(self) -> None:
-        """Refuse a run whose frames were deleted when all was done.
-
-        Raises
-        ------
-        RunError
-        """
+        """Refuse a run whose frames were deleted when all was done."""
         if self.manifest.frames_deleted is not None:
             raise RunError(
                 f"{self.path} keeps only its results, and this needs its frames",
@@ -283,13 +261,7 @@ class RunFolder(RecordedFolder):
         return frame
 
     def classified_frame(self, index: int) -> tuple[LidarFrame, NDArray[np.uint16]]:
-        """Frame number ``index`` and its classes.
-
-        Raises
-        ------
-        RunError
-            The frame has no classes.
-        """
+        """Frame number ``index`` and its classes."""
         record = self.frame(index)
         if record.classid is None:
             raise RunError(
@@ -320,13 +292,7 @@ class RunFolder(RecordedFolder):
         return self.path / "cameras" / camera if camera else self.path
 
     def calibration(self, name: str = "") -> tuple[Camera, NDArray[np.float64], list[float]]:
-        """Camera, ``T_camera_lidar`` (4, 4) and distortion of the images.
-
-        Raises
-        ------
-        CalibrationError
-            A calibration file is missing or damaged.
-        """
+        """Camera, ``T_camera_lidar`` (4, 4) and distortion of the images."""
         remedy = f"it is written by: `docdepth.run(..., {str(self.path)!r})`"
         return read_calibration(self.calibration_folder(name), remedy)
 
@@ -337,11 +303,6 @@ class RunFolder(RecordedFolder):
         ----------
         camera : str, optional
             Its name; needed if the run has several.
-
-        Raises
-        ------
-        RunError
-            There is no such camera, there are several and none is named, or the run has none.
         """
         folders = {name: entry.folder for name, entry in self.cameras.items()}
         if not folders and self.manifest.inputs is not None:

@@ -53,12 +53,10 @@ def write_tracks(
 
     Parameters
     ----------
-    path : Path
     tracks : iterable of Track
         Their times are among ``times``. Of their rotation, heading and slope are written.
     times : ndarray of int64, shape (n,)
         Stamps of all sweeps [ns].
-    write_file : callable
     """
     known = list(tracks)
     frames = [np.searchsorted(times, track.times) for track in known]
@@ -96,14 +94,8 @@ def cut_tracks(path: Path, times: NDArray[np.int64]) -> bytes:
 
     Parameters
     ----------
-    path : Path
     times : ndarray of int64, shape (n,)
         Stamps of the sweeps that are kept [ns].
-
-    Raises
-    ------
-    RunError
-        As for :func:`read_tracks`.
     """
     read_tracks(path)
     frames = {str(time): str(frame) for frame, time in enumerate(times.tolist())}
@@ -119,25 +111,13 @@ def cut_tracks(path: Path, times: NDArray[np.int64]) -> bytes:
 
 
 def tracks_in(folder: Path) -> Tracks:
-    """The tracks of a run folder or a synthetic drive, ordered by id; none where it has no file.
-
-    Raises
-    ------
-    RunError
-        As for :func:`read_tracks`.
-    """
+    """The tracks of a run folder or a synthetic drive, ordered by id; none where it has no file."""
     path = folder / TRACKS
     return Tracks(read_tracks(path) if path.is_file() else ())
 
 
 def read_tracks(path: Path) -> list[Track]:
-    """Read the tracks of a file that :func:`write_tracks` wrote, ordered by id.
-
-    Raises
-    ------
-    RunError
-        The file is missing, lacks a column, or a row is none.
-    """
+    """Read the tracks of a file that :func:`write_tracks` wrote, ordered by id."""
     try:
         found: dict[int, _Rows] = {}
         with TextIOWrapper(open_file(path), "utf-8", newline="") as stream:
@@ -206,15 +186,12 @@ def write_kitti_tracking(
 
     Parameters
     ----------
-    path : Path
     tracks : iterable of Track
         An image has the tracks whose time covers its own.
-    camera : Camera
     T_world_camera : Trajectory
         At the time of each image.
     indices : ndarray of int64, shape (n,)
         Number of each image.
-    write_file : callable
     """
     rows, times = [], T_world_camera.times
     for track in tracks:

@@ -162,13 +162,7 @@ def read_arrays(file: Path, names: Collection[str] | None = None) -> dict[str, N
 
 
 def read_kept_arrays(file: Path, *names: str) -> list[NDArray[Any]]:
-    """The named arrays of an NPZ file of a run.
-
-    Raises
-    ------
-    DamagedFileError
-        The file is missing or damaged.
-    """
+    """The named arrays of an NPZ file of a run."""
     try:
         found = read_arrays(file, names)
         return [found[name] for name in names]

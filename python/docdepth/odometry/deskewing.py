@@ -38,11 +38,6 @@ def deskew(
     -------
     ndarray of float32, shape (N, 3)
         In the sensor's frame at the stamp. Rows without a usable return are kept as they are.
-
-    Raises
-    ------
-    InputError
-        A usable point has no time.
     """
     usable = usable_points(points)
     if not np.isfinite(relative_time[usable]).all():

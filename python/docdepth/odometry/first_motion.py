@@ -83,7 +83,6 @@ def first_motion(sweeps: ThinnedSweeps | SweepPart, indices: range) -> NDArray[n
 
     Parameters
     ----------
-    sweeps : ThinnedSweeps or SweepPart
     indices : range
         The first :data:`FIRST_SWEEPS` of them are read.
 
@@ -105,8 +104,6 @@ def checked_motion(
 
     Parameters
     ----------
-    sweeps : ThinnedSweeps or SweepPart
-    indices : range
     motion : ndarray of float64, shape (4, 4)
         What is taken for the motion in one sweep's duration.
 

@@ -80,7 +80,6 @@ def close_loops(
 
     Parameters
     ----------
-    sweeps : ThinnedSweeps
     poses : ndarray of float64, shape (n, 4, 4)
         ``T_world_lidar`` of odometry, which moved and turned little at any sweep.
     drift : float

@@ -115,15 +115,12 @@ def register(
 
     Parameters
     ----------
-    sweeps : SweepPart
-    parameters : OdometryParameters
     first : ndarray of float64, shape (4, 4), optional
         Motion in one sweep's duration at the start, if it is known.
     known : callable, optional
         Poses of an earlier pass, which are refined: sweeps are deskewed with the motion around
         them. Without them poses are found from scratch: sweeps are deskewed with the motion of the
         sweep before.
-    threads : int
     kept : RegistrationLog
         What an interrupted pass found is taken from there, and what is found is added.
     findings : list of Finding
@@ -133,11 +130,6 @@ def register(
     ------
     State
         ``T_world_lidar`` of each sweep in the frame of the first, and how it moves.
-
-    Raises
-    ------
-    OdometryError
-        A sweep cannot be registered.
     """
     count, times = len(sweeps), sweeps.times
     if known is None:

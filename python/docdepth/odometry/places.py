@@ -100,7 +100,6 @@ class Places:
 
     Parameters
     ----------
-    sweeps : ThinnedSweeps or SweepPart
     poses : ndarray of float64, shape (n, 4, 4)
     arc_length : ndarray of float64, shape (n,)
     """
@@ -156,7 +155,6 @@ def locate(
 
     Parameters
     ----------
-    one, other : Place
     guess : ndarray of float64, shape (2,)
         Where the other's pose lies from that of ``one``, seen from above [m].
     radius, turn : float

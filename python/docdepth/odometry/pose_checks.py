@@ -43,11 +43,6 @@ def check_given_poses(dataset: Dataset, poses: ArrayLike) -> NDArray[np.float64]
     Returns
     -------
     ndarray of float64, shape (n, 4, 4)
-
-    Raises
-    ------
-    OdometryError
-        Poses are not rigid, not one for each sweep, or farther apart than any drive goes.
     """
     given = np.ascontiguousarray(poses, dtype=np.float64)
     if given.ndim != 3 or given.shape[1:] != (4, 4):
@@ -107,13 +102,7 @@ def find_camera_poses(poses: NDArray[np.float64]) -> list[Finding]:
 
 
 def check_period(dataset: Dataset) -> float:
-    """The usual time between sweeps in seconds, of which the odometry makes velocities.
-
-    Raises
-    ------
-    OdometryError
-        No LiDAR takes so long, or so short: the times are in another unit.
-    """
+    """The usual time between sweeps in seconds, of which the odometry makes velocities."""
     # Of 0.1 and 0.2 s: 0.1.
     period = float(np.quantile(np.diff(dataset.times), 0.5, method="lower")) * 1e-9
     if not _PERIODS[0] < period < _PERIODS[1]:
@@ -199,7 +188,6 @@ def misfit(
         ``T_world_lidar`` of every sweep.
     times : ndarray of int64, shape (n,)
         Stamps [ns]. Nothing is compared over a gap.
-    parameters : OdometryParameters, optional
     apart : int
         How many sweeps later than the last of the three it is.
 

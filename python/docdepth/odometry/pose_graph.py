@@ -31,12 +31,7 @@ class Edge(NamedTuple):
 
 
 def check_solver() -> None:
-    """Refuse to begin without scipy, which solves the sparse equations.
-
-    Raises
-    ------
-    MissingExtraError
-    """
+    """Refuse to begin without scipy, which solves the sparse equations."""
     try:
         import scipy.sparse.linalg  # noqa: F401
     except ImportError:
@@ -54,7 +49,6 @@ def optimized(poses: NDArray[np.float64], closures: Sequence[Edge]) -> NDArray[n
     ----------
     poses : ndarray of float64, shape (n, 4, 4)
         Nodes along a path, of odometry. The first stays.
-    closures : sequence of Edge
 
     Returns
     -------

@@ -70,13 +70,7 @@ class RegistrationLog:
         return Found(pose, covariance, bool(row["usable"]), float(row["fitting"]))
 
     def add(self, found: Found) -> None:
-        """Add the next sweep.
-
-        Raises
-        ------
-        RunError
-            The file cannot be written.
-        """
+        """Add the next sweep."""
         if self._path is None:
             return
         row = np.zeros((), _ROW)

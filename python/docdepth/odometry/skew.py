@@ -91,7 +91,6 @@ def find_skew(recording: Dataset, parameters: OdometryParameters | None = None) 
     ----------
     recording : Dataset
         Of one LiDAR. What it says of times and of motion compensation is not asked.
-    parameters : OdometryParameters, optional
 
     Returns
     -------

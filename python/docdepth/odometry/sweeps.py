@@ -38,11 +38,6 @@ def lidar_frame(sweep: AnySweep, period: np.float32) -> LidarFrame:
         An array was measured from its origin. A frame is returned as it is.
     period : float32
         Seconds of a sweep (:func:`~docdepth.datasets.point_times.sweep_seconds`).
-
-    Raises
-    ------
-    InputError
-        It is none of these.
     """
     if isinstance(sweep, LidarFrame):
         return sweep
@@ -74,7 +69,6 @@ class DeskewedSweeps(Sequence[LidarFrame]):
 
     Attributes
     ----------
-    dataset : Dataset
     motion : callable, optional
         ``motion(i)`` is the sensor's pose one sweep after stamp ``i``, in its frame at the stamp,
         float64 (4, 4). Without it sweeps stay as they were measured.
@@ -119,8 +113,6 @@ class ThinnedSweeps:
 
     Parameters
     ----------
-    dataset : Dataset
-    parameters : OdometryParameters
     voxel_size : float
         Edge of a voxel [m].
     kept : int
@@ -165,13 +157,7 @@ class ThinnedSweeps:
 
 
 class SweepPart:
-    """Some sweeps that follow each other without a gap, counted from the first of them.
-
-    Parameters
-    ----------
-    sweeps : ThinnedSweeps
-    frames : range
-    """
+    """Some sweeps that follow each other without a gap, counted from the first of them."""
 
     def __init__(self, sweeps: ThinnedSweeps, frames: range) -> None:
         self.times, self.first = sweeps.times[frames.start : frames.stop], frames.start
@@ -197,11 +183,6 @@ def deskewed_points(sweep: Sweep, index: int, motion: NDArray[np.float64]) -> ND
 
     Those of a sweep that is motion compensated already, or whose points have no times, are returned
     as they are.
-
-    Raises
-    ------
-    OdometryError
-        A usable point has no finite time.
     """
     times = motion_times(sweep)
     if times is None:

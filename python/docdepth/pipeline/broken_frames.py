@@ -38,15 +38,6 @@ def find_broken(
         Whose images are wanted.
     known : SkippedFrames, optional
         What was found before; it holds as long as the files are the same.
-
-    Returns
-    -------
-    SkippedFrames
-
-    Raises
-    ------
-    DatasetError
-        Most sweeps are broken.
     """
     numbers = recording.indices if isinstance(recording, FrameRange) else range(len(recording))
     checked = stage_key(list(_identities(recording, cameras)), list(numbers))

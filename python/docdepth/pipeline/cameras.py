@@ -38,7 +38,6 @@ class RunCamera:
 
     Attributes
     ----------
-    stream : CameraStream
     folder : str
         Where its maps lie in ``depth/``; empty for the first camera of a run.
     parameters : Parameters
@@ -69,7 +68,6 @@ def run_cameras(
 
     Parameters
     ----------
-    run : RunFolder
     recording : Dataset, optional
         None where it is away: only virtual cameras can be opened.
     names : sequence of str, optional
@@ -131,13 +129,7 @@ def _has_maps(run: RunFolder, camera: str) -> bool:
 def open_cameras(
     inputs: RunInputs | None, recording: Dataset, wanted: Sequence[str] | None
 ) -> list[CameraStream]:
-    """Cameras of a recording, with the image size and the times that a run was given, if any.
-
-    Raises
-    ------
-    DatasetError, CalibrationError
-        There is no such camera, or its times are broken.
-    """
+    """Cameras of a recording, with the image size and the times that a run was given, if any."""
     if inputs is None:
         return [recording.cameras[name] for name in camera_names(wanted, recording)]
     size = parse_size(inputs.image_size)
@@ -161,13 +153,7 @@ def open_cameras(
 def _with_masks(
     inputs: RunInputs, recording: Dataset, streams: list[CameraStream]
 ) -> list[CameraStream]:
-    """The cameras with the masks of the recording, or of the inputs in their place.
-
-    Raises
-    ------
-    CalibrationError
-        A mask is of a camera that is not there, or has another size than it.
-    """
+    """The cameras with the masks of the recording, or of the inputs in their place."""
     masks = dict(getattr(as_recorded(recording), "masks", {}))
     for named in inputs.mask or ():
         camera, _, file = named.partition(":")
@@ -251,15 +237,6 @@ def virtual_camera(pose: str, K: str, size: str, times: Path | None = None) -> V
     times : Path, optional
         A file with the time of each image in seconds, one per line; the times of the sweeps if
         absent.
-
-    Returns
-    -------
-    VirtualCamera
-
-    Raises
-    ------
-    ConfigError, CalibrationError
-        A value cannot be read.
     """
     pixels = parse_size(size)
     if pixels is None:
@@ -284,8 +261,6 @@ def virtual_stream(
 
     Parameters
     ----------
-    name : str
-    described : VirtualCamera
     sweep_times : ndarray of int64, shape (n,)
         Nanoseconds.
     up : (float, float, float), optional
@@ -306,12 +281,7 @@ def virtual_stream(
 
 
 def check_name(run: RunFolder, name: str) -> None:
-    """Refuse a name for a virtual camera that is no folder or that a camera of the recording has.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Refuse a virtual camera whose name is no folder or that of a recorded camera."""
     # A name with a dot could be that of a file of the first camera: 000000.png, depth.json.
     if not name or set(name) & set("./\\\0"):
         raise ConfigError(f"`{name=}` cannot be a folder name; use letters and digits")
@@ -320,13 +290,7 @@ def check_name(run: RunFolder, name: str) -> None:
 
 
 def parse_size(text: str | None) -> tuple[int, int] | None:
-    """Width and height in pixels from ``1242x375``.
-
-    Raises
-    ------
-    CalibrationError
-        The text is not a size.
-    """
+    """Width and height in pixels from ``1242x375``."""
     if not text:
         return None
     width, _, height = text.partition("x")
@@ -349,11 +313,6 @@ def parse_pose(text: str) -> NDArray[np.float64]:
     Returns
     -------
     ndarray of float64, shape (4, 4)
-
-    Raises
-    ------
-    CalibrationError
-        The text has another form, or its rotation is not one.
     """
     file = Path(text)
     content = read_text(file) if len(text) < 256 and file.is_file() else text

@@ -58,8 +58,6 @@ def check_inputs(
 
     Parameters
     ----------
-    inputs : RunInputs
-    parameters : Parameters
     output : Path, optional
         The run folder, if it is known.
 
@@ -118,7 +116,6 @@ def check_opened(
     ----------
     inputs, parameters, output
         As for :func:`check_inputs`.
-    recording : Dataset
     cameras : list of CameraStream
         Whose depth maps are wanted.
     jobs : int

@@ -61,11 +61,6 @@ def run_classify(
         Who does the work; this process with its threads if absent.
     stage : Stage, optional
         :func:`~.plan.classify_stage` of the run.
-
-    Raises
-    ------
-    RunError
-        A file of the run is damaged.
     """
     if run.manifest.inputs is not None and run.manifest.inputs.labels is not None:
         return take_labels(run, progress, stage)
@@ -213,13 +208,7 @@ def _classify_chunk(
 
 
 def open_labels(run: RunFolder) -> LabelFolder:
-    """The labels that a run was given.
-
-    Raises
-    ------
-    DatasetError
-        They are not there, or are those that the run itself has written.
-    """
+    """The labels that a run was given."""
     labels = run.inputs.labels
     assert labels is not None
     given = LabelFolder(labels)
@@ -242,16 +231,8 @@ def take_labels(
     ----------
     run : RunFolder
         Its odometry is done, and its inputs name the labels.
-    progress : callable, optional
     stage : Stage, optional
         :func:`~.plan.classify_stage` of the run.
-
-    Raises
-    ------
-    DatasetError
-        Labels of a sweep are missing, damaged, or of another number of points.
-    RunError
-        A file of the run is damaged.
     """
     with run.lock("classify"):
         trajectory, stage = run.trajectory(), stage or classify_stage(run)

@@ -73,13 +73,7 @@ class VoxelCloud:
         self._new: list[NDArray[np.void]] = []
 
     def add(self, points: NDArray[np.float64], is_ground: NDArray[np.bool_]) -> None:
-        """Add points (N, 3) [m].
-
-        Raises
-        ------
-        InputError
-            A point is too far from the origin for the size of the voxels.
-        """
+        """Add points (N, 3) [m]."""
         scaled = (points - self._origin) / self._voxel
         cells = np.floor(scaled).astype(np.int64)
         half = 1 << (_BITS - 1)
@@ -141,13 +135,6 @@ def write_map(run: RunFolder, voxel: float = VOXEL, progress: Progress | None = 
     -------
     Path
         Of the map.
-
-    Raises
-    ------
-    InputError
-        The voxels are too small for the extent of the drive.
-    RunError
-        A frame is missing, damaged or not classified.
     """
     require(run, "classify")
     world, objects = gather_map(run, voxel, progress)

@@ -51,13 +51,6 @@ def write_release(run: RunFolder, output: Path, progress: Progress | None = None
     -------
     int
         Depth maps.
-
-    Raises
-    ------
-    ConfigError
-        The drive is in ``output``.
-    DatasetError, InputError, RunError
-        There are no depth maps, they are out of date, or too deep for such a PNG.
     """
     name = (run.recording_path or run.path).absolute().name
     drive = output / name
@@ -113,13 +106,6 @@ def convert(
     -------
     int
         Poses, sweeps or depth maps.
-
-    Raises
-    ------
-    ConfigError
-        The format cannot hold what is asked for, or ``output`` is there.
-    DatasetError, OdometryError, RunError
-        There are no poses or labels, or they are damaged.
     """
     if to in DEPTH_FORMATS:
         if camera is not None:

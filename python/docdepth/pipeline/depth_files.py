@@ -39,11 +39,8 @@ class DepthFiles:
 
     Attributes
     ----------
-    run : RunFolder
-    stream : CameraStream
     folder : str
         Its folder in ``depth/``, ``layers/`` and ``report/``; empty for the first camera of a run.
-    parameters : Parameters
     key : str
         Hash of all that the maps are made of; needed to write.
     images : dict of int to str

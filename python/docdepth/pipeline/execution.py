@@ -152,9 +152,6 @@ def memory_of_run(
     ----------
     points : int
         Of the largest sweep.
-    sweeps : int
-    cameras : sequence of CameraStream
-    parameters : Parameters
     jobs : int
         Processes that share the work.
     """
@@ -186,16 +183,8 @@ def within_memory(
     ----------
     budget : str
         ``4G``, ``800M``, or a number of bytes.
-    recording : Dataset
-    cameras : sequence of CameraStream
-    parameters : Parameters
     jobs : int
         Processes that share the work.
-
-    Raises
-    ------
-    ConfigError
-        The budget is no size, or the run needs more by estimate.
     """
     count, memory = len(recording), bytes_of(budget)
     some = np.linspace(0, count - 1, min(count, _SAMPLES)).astype(int)
@@ -232,13 +221,7 @@ def parameters_within_budget(run: RunFolder) -> Parameters:
 
 
 def bytes_of(size: str) -> int:
-    """Bytes of a size as people write it: ``4G``, ``1.5 GB``, ``800M``.
-
-    Raises
-    ------
-    ConfigError
-        It is none.
-    """
+    """Bytes of a size as people write it: ``4G``, ``1.5 GB``, ``800M``."""
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([kMGT]?)B?", size.strip())
     if found is None:
         raise ConfigError(f"`memory={size!r}`: give a size, for example 4G or 800M")
@@ -254,12 +237,7 @@ _CGROUP = Path("/sys/fs/cgroup")
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a run needs, in bytes.
-
-    Attributes
-    ----------
-    memory, disk : int
-    """
+    """What a run needs, in bytes."""
 
     memory: int
     disk: int
@@ -280,8 +258,6 @@ def estimate(
         Of some sweeps.
     sweeps : int
         All.
-    cameras : sequence of CameraStream
-    parameters : Parameters
     jobs : int
         Processes that share the work.
     """
@@ -323,13 +299,7 @@ def check_resources(
 
 
 def check_image_size(width: int, height: int, name: str = "the image") -> None:
-    """Refuse images that cannot be held in memory, also of virtual cameras.
-
-    Raises
-    ------
-    CalibrationError
-        An image of this size needs more memory than there is.
-    """
+    """Refuse images that cannot be held in memory, also of virtual cameras."""
     needed, memory = int(BASE) + PER_PIXEL * width * height, available_memory()
     if memory is not None and needed > memory:
         raise CalibrationError(

@@ -30,13 +30,6 @@ def read_given_poses(entry: str, recording: Dataset) -> NDArray[np.float64]:
     """Poses ``T_world_lidar`` (n, 4, 4) of every sweep of a recording, or of a part of one.
 
     ``entry`` is ``RunInputs.poses``.
-
-    Raises
-    ------
-    DatasetError
-        The recording has no poses, or not this camera.
-    OdometryError
-        The file is missing, damaged, or has another number of poses.
     """
     if entry == OWN_POSES:
         if recording.poses is None:
@@ -76,11 +69,6 @@ def refuse_poses_of_a_camera(
     """Refuse a file of camera poses, as KITTI's are, that is given as one of LiDAR poses.
 
     Some sweeps are aligned with those before, starting from either meaning.
-
-    Raises
-    ------
-    OdometryError
-        Poses lead upwards, do not fit, and fit as those of a camera.
     """
     of_lidar = entry != OWN_POSES and not camera_and_file(entry)[0]
     if not of_lidar or not recording.cameras or not move_upwards(poses):

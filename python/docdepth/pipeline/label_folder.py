@@ -32,11 +32,6 @@ class LabelFolder:
     folder : Path
         The folder, or its parent with a folder ``labels``: a run, or a sequence of SemanticKITTI;
         or with a folder ``pcd``: a sequence of DynamicMap_Benchmark.
-
-    Raises
-    ------
-    DatasetError
-        It is not there, or holds no labels.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -74,10 +69,6 @@ class LabelFolder:
 
         ``points`` are the rows of the sweep; nothing is refused where they are not known.
         ``returns`` gives the rows that are usable, where labels are of these alone.
-
-        Raises
-        ------
-        DatasetError
         """
         file = label_file(self.folder, name, frame)
         if points is not None:

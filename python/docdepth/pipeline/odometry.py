@@ -37,24 +37,12 @@ def run_odometry(
 
     Parameters
     ----------
-    run : RunFolder
-    dataset : Dataset
     poses : ndarray of float64, shape (n, 4, 4), optional
         ``T_world_lidar`` of another SLAM; estimated when left out.
-    progress : callable, optional
     threads : int
         0 for all cores.
     stage : Stage, optional
         :func:`~.plan.odometry_stage` of these arguments.
-
-    Raises
-    ------
-    DatasetError
-        A sweep is damaged or holds no usable point.
-    ConfigError
-        Ghost returns are to be removed, but sweeps have no intensity.
-    OdometryError
-        Poses cannot be estimated, or the given ones do not fit.
     """
     with run.lock("odometry"):
         if run.manifest.frames_deleted is not None:

@@ -64,10 +64,8 @@ class ChunkContext:
 
     Attributes
     ----------
-    run : RunFolder
     threads : int
         0 for all cores.
-    timer : Timer
     progress : callable
         To be called with the number of frames of the chunk that are done.
     """
@@ -183,10 +181,8 @@ class WorkerPool:
 
         Parameters
         ----------
-        run : RunFolder
         work : callable
             See :data:`ChunkWork`.
-        chunks : sequence
         timer : Timer
             Takes the seconds of all workers.
         progress : callable
@@ -198,11 +194,6 @@ class WorkerPool:
         ------
         number, result
             Of each chunk, as they are done.
-
-        Raises
-        ------
-        RunError
-            A worker has died, or the scheduler is gone.
         """
 
         def report(before: int, more: int) -> None:
@@ -232,13 +223,7 @@ class WorkerPool:
     def map(
         self, task: Callable[[_Item], _Result], items: Sequence[_Item]
     ) -> Iterator[tuple[int, _Result]]:
-        """Number and result of each item, as the workers are done with them.
-
-        Raises
-        ------
-        RunError
-            A worker has died, or the scheduler is gone.
-        """
+        """Number and result of each item, as the workers are done with them."""
         assert self._executor is not None, "workers start with a with block"
         try:
             yield from map_unordered(self._executor, task, items, _TASKS_PER_WORKER * self.count)
@@ -311,15 +296,7 @@ def _start_worker(lifeline: Connection) -> None:
 
 
 def _connect(address: str) -> Any:
-    """Connect to a Dask scheduler.
-
-    Raises
-    ------
-    MissingExtraError
-        Dask is not installed.
-    RunError
-        There is no scheduler at the address.
-    """
+    """Connect to a Dask scheduler."""
     try:
         from distributed import Client
     except ImportError as error:

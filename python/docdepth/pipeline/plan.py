@@ -323,7 +323,6 @@ def plan(
 
     Parameters
     ----------
-    run : RunFolder
     recording : Dataset, optional
         If absent, inputs count as unchanged: it may lie on a disk that is away.
     poses : ndarray of float64, shape (n, 4, 4), optional
@@ -353,7 +352,6 @@ def states(run: RunFolder, *, verify: bool = False) -> list[StageState]:
 
     Parameters
     ----------
-    run : RunFolder
     verify : bool
         Compare the content of each file with its checksum, not only size and time.
     """
@@ -367,15 +365,10 @@ def require(run: RunFolder, name: str, *, frames: bool = True) -> None:
 
     Parameters
     ----------
-    run : RunFolder
     name : str
         ``odometry``, ``classify``, or ``render CAMERA``.
     frames : bool
         Whether frames are needed, too. Maps of ``render`` never need them.
-
-    Raises
-    ------
-    RunError
     """
     if run.manifest.folders_written is None:
         return

@@ -63,7 +63,6 @@ class RenderPlan:
         Those that are not done.
     left_out : dict of str to list of str
         By camera: images outside the trajectory.
-    trajectory : Trajectory
     """
 
     files: list[DepthFiles]
@@ -95,13 +94,6 @@ def plan_render(
     """Check the parameters and list the images of cameras that are drawn alike.
 
     ``stages`` are those of :func:`~.plan.render_stage` by name, as far as they are known.
-
-    Raises
-    ------
-    ConfigError, InputError
-        The output format cannot hold the depth, or a layer does not exist.
-    DatasetError
-        No image of a camera lies between the first and the last sweep.
     """
     for camera in cameras:
         drawing, output = camera.parameters.render, camera.parameters.output
@@ -187,15 +179,6 @@ def run_render(
     -------
     list of str
         Images before the first or after the last sweep, which get no depth map.
-
-    Raises
-    ------
-    ConfigError, InputError
-        The output format cannot hold the depth, or a layer does not exist.
-    DatasetError
-        No image of a camera lies between the first and the last sweep, or an image is damaged.
-    RunError
-        A frame has no classes.
     """
     streams = [streams] if isinstance(streams, CameraStream) else list(streams)
     renderer, workers = renderer or Renderer(), workers or WorkerPool(threads)
@@ -235,11 +218,6 @@ def report(run: RunFolder) -> Path:
     -------
     Path
         Of the page.
-
-    Raises
-    ------
-    RunError
-        A stage is missing, damaged or out of date.
     """
     require(run, "classify")
     for name in run.cameras:

@@ -54,13 +54,6 @@ def render_again(
         Folder of labels of another method, which replace the classes of the run.
     threads, renderer, progress
         As for :func:`run`.
-
-    Raises
-    ------
-    RunError
-        Classes are missing or out of date.
-    ConfigError
-        A parameter is refused, or a virtual camera has the name of another.
     """
     folder = RunFolder.open(Path(output))
     require(folder, "classify" if labels is None else "odometry")

@@ -167,11 +167,6 @@ def continue_run(
         As for :func:`run`.
     **options
         Fields of :class:`Execution` by name.
-
-    Raises
-    ------
-    DocDepthError
-        There is no run, or an input is missing or damaged.
     """
     folder, execution = RunFolder.open(Path(output)), _execution(execution, options)
     if folder.manifest.inputs is None:

@@ -66,11 +66,6 @@ def run_all(
     -------
     list of RecordingResult
         Of each recording, the longest first.
-
-    Raises
-    ------
-    DatasetError
-        There is no recording below the folder.
     """
     inputs, execution = models_of(inputs, execution, options)
     root, output = inputs.recording, Path(output).resolve()

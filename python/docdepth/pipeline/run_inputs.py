@@ -64,17 +64,11 @@ def open_inputs(
 
     Parameters
     ----------
-    inputs : RunInputs
     begun : DerivedInputs, optional
         Of a run that goes on: what was found when it began holds for good, unless the recording
         itself tells another. What is broken holds as long as the files are the same.
     kept_ego : bool
         That run did not look for its own vehicle.
-
-    Raises
-    ------
-    DatasetError, CalibrationError
-        A file is missing or broken, or there is no such camera.
     """
     whole = _open_whole(inputs)
     derived = DerivedInputs(skipped=_find_skipped(inputs, whole, begun))
@@ -216,7 +210,6 @@ def find_up(recording: Dataset, begun: DerivedInputs | None = None) -> Point | N
 
     Parameters
     ----------
-    recording : Dataset
     begun : DerivedInputs, optional
         Of a run that goes on: what was found when it began holds for good.
 

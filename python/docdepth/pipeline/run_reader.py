@@ -199,7 +199,6 @@ class RunImages(Sequence["RunImage"]):
 
     Attributes
     ----------
-    run : Run
     name : str
         Of the camera.
     camera : Camera
@@ -209,11 +208,6 @@ class RunImages(Sequence["RunImage"]):
         Of the images.
     times : ndarray of int64, shape (n,)
         Of the images [ns].
-
-    Raises
-    ------
-    RunError
-        Not all of its depth maps are done, or a file is damaged.
     """
 
     def __init__(self, run: Run, name: str) -> None:

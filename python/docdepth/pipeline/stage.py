@@ -69,7 +69,6 @@ class FrameOutputs:
 
     Attributes
     ----------
-    files : sequence of Path
     made_of : dict of str to str
         What the records of these files name beside the key of the stage: the identity of an image.
     source : str
@@ -87,7 +86,6 @@ class Stage:
 
     Attributes
     ----------
-    run : RunFolder
     name : str
         ``odometry``, ``classify``, or ``render CAMERA``.
     inputs : dict
@@ -258,7 +256,6 @@ class Profile:
 
     Attributes
     ----------
-    timer : Timer
     frames : int
         Frames that this command worked on; an earlier one may have done the others.
     share : float

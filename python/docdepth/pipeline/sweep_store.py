@@ -74,7 +74,6 @@ class TrackStore(Sequence[TrackedSweep]):
 
     Parameters
     ----------
-    run : RunFolder
     key : dict
         What classes are made of.
     count : int
@@ -117,12 +116,7 @@ class TrackStore(Sequence[TrackedSweep]):
         write_arrays(self._run, self._paths, self._key, arrays)
 
     def tracks(self) -> list[Track]:
-        """The tracks of the drive.
-
-        Raises
-        ------
-        DamagedFileError
-        """
+        """The tracks of the drive."""
         *about, lengths = read_kept_arrays(self._paths, *_OF_TRACK, "length")
         if not len(lengths):
             return []
@@ -144,16 +138,13 @@ class FrameStore:
 
     Parameters
     ----------
-    run : RunFolder
     key : dict
         What classes are made of.
     sweeps : int
         Of the drive.
-    timer : Timer, optional
 
     Attributes
     ----------
-    tracks : TrackStore
     counts : ndarray of int64, shape (3,)
         Points of the sweeps that were written, from
         :func:`docdepth.dynamics.classes.count_classes`.

@@ -31,8 +31,6 @@ class RenderList(NamedTuple):
 
     Attributes
     ----------
-    view : View
-    parameters : RenderParameters
     static : list of Part
         Those whose static points are drawn.
     around : list of PartAround
@@ -83,15 +81,9 @@ def render_list(
     sweeps : callable
         Returns the :class:`RenderSweep` of a sweep by its index. Only those of
         :func:`~docdepth.render.selection.needed_sweeps` are asked for.
-    parameters : RenderParameters, optional
     tracks : Tracks, optional
         Of the sweeps' objects. Objects without a track are drawn where the nearest sweep saw them.
         Used by triangles only.
-
-    Raises
-    ------
-    InputError
-        A sweep was prepared for another ``primitive``.
     """
     p, tracks = parameters or RenderParameters(), tracks or Tracks()
     splats = p.primitive == "splats"
@@ -152,11 +144,6 @@ def compose_depth(
     -------
     ndarray of float32, shape (height, width)
         z along the optical axis in metres; NaN where nothing was drawn.
-
-    Raises
-    ------
-    BackendError
-        The renderer failed.
     """
     p, camera, core = drawn.parameters, drawn.view.camera, (renderer or Renderer()).core
     image = camera.K, camera.width, camera.height

@@ -85,7 +85,6 @@ def dynamic_objects(
         Stamp of the sweep [ns].
     T_world_lidar : ndarray of float64, shape (4, 4)
         Pose at the stamp. It and ``time`` matter for tracks only.
-    tracks : Tracks, optional
     is_drawn : callable, optional
         Whether images draw what was seen of a track, given its id, at a time [ns]; they draw all
         tracks if absent.

@@ -81,11 +81,6 @@ def compose_layers(
     -------
     dict of str to ndarray, shape (h, w) or (h, w, 3)
         By name, in the order of ``names``.
-
-    Raises
-    ------
-    InputError
-        A name is unknown, the depth map has another size than the image, or splats lack a layer.
     """
     p, camera = drawn.parameters, drawn.view.camera
     check_layers(names, p)
@@ -119,12 +114,7 @@ def compose_layers(
 
 
 def check_layers(names: Sequence[str], parameters: RenderParameters) -> None:
-    """Refuse unknown layers, and layers that the primitive does not have.
-
-    Raises
-    ------
-    InputError
-    """
+    """Refuse unknown layers, and layers that the primitive does not have."""
     unknown = [name for name in names if name not in (*LAYERS, "measures")]
     if unknown:
         raise InputError(f"unknown layer {unknown[0]!r}; there are {', '.join(LAYERS)}")

@@ -273,7 +273,6 @@ class TracksInView:
 
     Parameters
     ----------
-    tracks : Tracks
     trajectory : Trajectory
         Poses and times of all sweeps.
     views : sequence of View

@@ -95,15 +95,8 @@ class OccupancyGrids:
     ----------
     sweeps : sequence of LidarFrame
         Usable returns, deskewed to their stamps, with classes.
-    trajectory : Trajectory
-    tracks : Tracks
     cameras : sequence of MountedCamera
         For ``mask_camera``.
-
-    Raises
-    ------
-    InputError
-        No ground is found below the vehicle.
     """
 
     def __init__(

@@ -123,19 +123,11 @@ def prepare_sweep(
         Usable returns, with classes.
     index : int
         Of its pose in the trajectory.
-    trajectory : Trajectory
-    parameters : RenderParameters
-    tracks : Tracks, optional
     whole : bool
         False: only the points near vehicles
         (:func:`~docdepth.render.selection.near_vehicles`).
     is_drawn : callable, optional
         That of :func:`~docdepth.render.dynamic_objects.dynamic_objects`.
-
-    Raises
-    ------
-    InputError
-        The sweep has no classes.
     """
     if not whole:
         frame = frame.select(near_vehicles(frame, tracks or Tracks()))

@@ -79,9 +79,7 @@ class Path:
 
     Attributes
     ----------
-    road : Road
     points : array_like, shape (k, 2)
-    pace : SpeedProfile
     start : float
         Position along the path at which the distance of ``pace`` is 0 [m].
     length, width : float
@@ -138,9 +136,6 @@ class Actor:
 
     Attributes
     ----------
-    name : str
-    parts : sequence of Part
-    path : Path
     label : int
         SemanticKITTI class if it never moves during the drive.
     moving_label : int

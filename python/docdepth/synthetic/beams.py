@@ -32,7 +32,6 @@ def cast_beams(world: World, rays: Rays, width: float, limit: float) -> Hits:
 
     Parameters
     ----------
-    world : World
     rays : Rays
         The middle of each beam.
     width : float

@@ -145,8 +145,6 @@ class World:
 
     Parameters
     ----------
-    static : Mesh
-    actors : sequence of Actor
     span : tuple of float
         First and last second of the drive. An actor that moves in between has its moving class in
         all sweeps.

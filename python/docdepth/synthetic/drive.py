@@ -98,8 +98,6 @@ class Drive:
 
     Parameters
     ----------
-    scene : Scene
-    sensor : Sensor
     frames : int
         Number of sweeps.
     seed : int

@@ -136,11 +136,6 @@ def scene(name: str, seed: int = 0) -> Scene:
         One of :data:`SCENES`.
     seed : int
         Varies bends, slopes, houses, plants and vehicles.
-
-    Raises
-    ------
-    InputError
-        The name is unknown.
     """
     if name not in SCENES:
         raise InputError(f"unknown scene {name!r}; there are {', '.join(SCENES)}")

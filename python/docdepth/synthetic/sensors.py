@@ -45,7 +45,6 @@ class Sensor:
 
     Attributes
     ----------
-    name : str
     pattern : callable
         Gives the rays of sweep ``k``.
     reach : float
@@ -191,11 +190,6 @@ def sensor(name: str) -> Sensor:
     Parameters
     ----------
     name : {"HDL-64", "OS1-128", "XT-32", "Pandar40P", "VLP-16", "Avia"}
-
-    Raises
-    ------
-    InputError
-        The name is unknown.
     """
     known = sensors()
     if name not in known:

@@ -34,10 +34,8 @@ class Scene:
 
     Attributes
     ----------
-    name : str
     static : Mesh
         Everything that never moves, world frame [m].
-    actors : list of Actor
     ego : Path
         Path of the point on the road below the LiDAR.
     duration : float
@@ -53,13 +51,7 @@ class Scene:
 
 @dataclass
 class Street:
-    """Collects the parts of a scene.
-
-    Attributes
-    ----------
-    road : Road
-    rng : Generator
-    """
+    """Collects the parts of a scene."""
 
     road: Road
     rng: np.random.Generator

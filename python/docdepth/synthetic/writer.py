@@ -74,7 +74,6 @@ def write_drive(
         Names known to :func:`scene` and :func:`sensor`.
     frames : int
         Number of sweeps. There is one image between each two sweeps.
-    seed : int
     skew : bool
         Write raw sweeps and ``point_times``. Otherwise sweeps are motion compensated with the exact
         motion of the ego, as in SemanticKITTI, and have ``point_times`` only if the sensor does not
@@ -95,11 +94,6 @@ def write_drive(
     -------
     Path
         The folder of the sequence.
-
-    Raises
-    ------
-    DatasetError
-        ``out`` is a file, or not empty and not this drive, unfinished.
     """
     about = WrittenDrive(
         scene=scene, sensor=sensor, seed=seed, frames=frames, motion_compensated=not skew

@@ -117,13 +117,7 @@ def write_csv(outcomes: Sequence[Outcome], by: str, path: Path) -> None:
 
 
 def plot(outcomes: Sequence[Outcome], by: str, path: Path) -> None:
-    """Plot two metrics of all trials: over the parameter that varies alone, else over each other.
-
-    Raises
-    ------
-    MissingExtraError
-        matplotlib is not installed.
-    """
+    """Plot two metrics of all trials: over a single parameter that varies, else over each other."""
     try:
         from matplotlib.figure import Figure
     except ImportError:

@@ -44,13 +44,7 @@ class Trial:
         return ConfigError(f"{self.given or f'trial {self.name!r}'}: {why}")
 
     def parameters(self, base: Parameters) -> Parameters:
-        """Parameters of the run, or of a preset, with the settings of the trial.
-
-        Raises
-        ------
-        ConfigError
-            A name is unknown, or a value is out of range.
-        """
+        """Parameters of the run, or of a preset, with the settings of the trial."""
         settings = dict(self.settings)
         preset = settings.pop("preset", None)
         try:
@@ -83,13 +77,7 @@ def grid(axes: Mapping[str, Sequence[Any]], given: str = "") -> list[Trial]:
 
 
 def read_trials(path: Path) -> list[Trial]:
-    """Read trials from a YAML file of lines ``NAME: {stage.parameter: value}``.
-
-    Raises
-    ------
-    ConfigError
-        The file is missing or has another structure.
-    """
+    """Read trials from a YAML file of lines ``NAME: {stage.parameter: value}``."""
     try:
         tree = read_yaml(read_text(path))
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:

@@ -58,7 +58,6 @@ def tune(
         Run folders; they are only read.
     objectives : sequence of Objective
         Of each run; all of one kind.
-    trials : sequence of Trial
     out : Path
         Folder of the results: ``tune.csv``, and a JSON file for each run and trial.
     jobs : int
@@ -72,16 +71,6 @@ def tune(
     -------
     list of Outcome
         Run by run, in the order of ``trials``.
-
-    Raises
-    ------
-    ConfigError
-        Two trials have the same name, a name cannot name a folder, a parameter is unknown or
-        cannot matter to the objective, or ``out`` lies in a run.
-    RunError
-        What trials share with a run is missing or out of date.
-    DatasetError
-        The truth or the recording is not there.
     """
     names = [trial.name for trial in trials]
     for name in names:

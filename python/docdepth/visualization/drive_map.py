@@ -87,11 +87,6 @@ def drive_map(run: RunFolder) -> DriveMap:
     ----------
     run : RunFolder
         With classified frames.
-
-    Raises
-    ------
-    RunError
-        A frame is missing, damaged or not classified.
     """
     trajectory = run.trajectory()
     heading = _main_direction(trajectory.poses)

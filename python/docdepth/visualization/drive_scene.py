@@ -63,7 +63,6 @@ class CameraView:
 
     Attributes
     ----------
-    camera : Camera
     T_world_camera : ndarray of float64, shape (4, 4)
     depth : ndarray of float32, shape (h, w), optional
         Metres along the optical axis; NaN = none.
@@ -85,15 +84,7 @@ def sweep_scene(
     tracks: Tracks,
     around: int = 0,
 ) -> SweepScene:
-    """A sweep of a run, and the static points of ``around`` sweeps before and after.
-
-    Raises
-    ------
-    InputError
-        The run has no votes or no instances.
-    RunError
-        A sweep is missing or not classified.
-    """
+    """A sweep of a run, and the static points of ``around`` sweeps before and after."""
     T_world_lidar, time = trajectory.poses[index], int(trajectory.times[index])
     points, colors = [], []
     for k in range(max(index - around, 0), min(index + around + 1, len(trajectory))):
@@ -120,8 +111,6 @@ def camera_views(
 
     Parameters
     ----------
-    run : RunFolder
-    trajectory : Trajectory
     camera : str, optional
         Needed if the run has several.
     stream : CameraStream, optional
@@ -150,7 +139,6 @@ def back_project(camera: Camera, depth: NDArray[np.float32]) -> NDArray[np.float
 
     Parameters
     ----------
-    camera : Camera
     depth : ndarray of float32, shape (h, w)
         Metres along the optical axis; NaN = none.
 
@@ -172,13 +160,7 @@ def back_project(camera: Camera, depth: NDArray[np.float32]) -> NDArray[np.float
 def point_colors(
     record: LidarFrame, classid: NDArray[np.uint16], color: Coloring
 ) -> NDArray[np.float64]:
-    """RGB colour of each point of a frame, float64 (N, 3), 0..1.
-
-    Raises
-    ------
-    InputError
-        The frame has no votes or no instances.
-    """
+    """RGB colour of each point of a frame, float64 (N, 3), 0..1."""
     if color == "class":
         return class_colors(classid)
     if color == "votes" and record.votes_static is not None and record.votes_dynamic is not None:

@@ -45,7 +45,6 @@ def view_of_layer(name: str, values: NDArray[Any], image: Picture | None) -> Pic
 
     Parameters
     ----------
-    name : str
     values : ndarray, shape (h, w)
         As a file of layers holds it.
     image : ndarray of uint8, shape (h, w, 3), optional
@@ -76,7 +75,6 @@ def view_of_points(
     points : ndarray, shape (N, 3)
         Camera frame [m].
     classid : ndarray of uint16, shape (N,)
-    camera : Camera
     image : ndarray of uint8, shape (h, w, 3), optional
         BGR.
     """
@@ -110,10 +108,8 @@ def draw_tracks(
     Parameters
     ----------
     picture : ndarray of uint8, shape (h, w, 3)
-    tracks : iterable of Track
     time : int
         Of the image [ns].
-    camera : Camera
     T_camera_world : ndarray of float64, shape (4, 4)
     """
     there = [

@@ -52,11 +52,6 @@ def write_inspection(
         Errors, warnings and notes, each with its severity.
     pictures : iterable of (ndarray of uint8, str)
         With captions.
-
-    Raises
-    ------
-    DatasetError
-        There is another file, or none can be written.
     """
     title = f"docdepth: {Path(figures['recording']['path']).resolve().name}"
     parts = [head(title), *_findings(findings)]

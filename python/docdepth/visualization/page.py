@@ -65,12 +65,7 @@ def head(title: str, style: str = "") -> str:
 
 
 def check_page(path: Path) -> None:
-    """Refuse a file that is no page of docdepth.
-
-    Raises
-    ------
-    DatasetError
-    """
+    """Refuse a file that is no page of docdepth."""
     if path.is_dir():
         raise DatasetError(f"{path} is a folder; name a file for the page")
     if path.is_file():
@@ -83,11 +78,6 @@ def write_page(path: Path, parts: Iterable[str]) -> None:
     """Write a page of :func:`head` and other parts, in one file that needs nothing else.
 
     A page that was changed since docdepth wrote it becomes ``NAME.old``.
-
-    Raises
-    ------
-    DatasetError
-        There is a file that is no page of docdepth, or none can be written.
     """
     check_page(path)
     content = "\n".join(parts).encode(errors="replace")
@@ -185,7 +175,6 @@ class Leaf(NamedTuple):
 
     Attributes
     ----------
-    caption : str
     views : dict of str to str
         Links that hold the pictures, by view.
     seconds : float

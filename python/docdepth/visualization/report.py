@@ -91,11 +91,6 @@ def write_report(run: RunFolder, streams: Mapping[str, CameraStream]) -> Path:
     -------
     Path
         Of the page.
-
-    Raises
-    ------
-    DatasetError, RunError
-        A file of the run, or an image, is missing or damaged.
     """
     trajectory = run.trajectory()
     tracks = list(tracks_in(run.path).values())
@@ -129,7 +124,6 @@ def keep_held_out(run: RunFolder, camera: str | None, errors: Mapping[str, Any])
 
     Parameters
     ----------
-    run : RunFolder
     camera : str, optional
         Needed if the run has several.
     errors : mapping

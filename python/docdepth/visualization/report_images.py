@@ -37,7 +37,6 @@ class CameraPage(NamedTuple):
 
     Attributes
     ----------
-    name : str
     leaves : list of Leaf
         Some of its images, with the views ``image``, ``depth``, ``class`` and layers.
     density : list of (int, float)
@@ -59,15 +58,8 @@ def camera_pages(
 
     Parameters
     ----------
-    run : RunFolder
     streams : mapping of str to CameraStream
         Cameras whose images can be read.
-    tracks : sequence of Track
-
-    Raises
-    ------
-    DatasetError, RunError
-        A map, an image or a frame is missing or damaged.
     """
     start = int(run.trajectory().times[0])
     count, most = budget(len(run.cameras))

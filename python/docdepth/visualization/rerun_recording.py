@@ -46,7 +46,6 @@ def write_rerun(
     ----------
     run : RunFolder
         With classified frames.
-    path : Path
     camera : str, optional
         Whose depth maps; needed if the run has several.
     color : {"class", "votes", "instance"}
@@ -55,15 +54,6 @@ def write_rerun(
         The camera; its images are logged.
     progress : callable, optional
         Called with "rerun", the number of sweeps done and of all sweeps.
-
-    Raises
-    ------
-    InputError
-        The run has no votes or instances.
-    MissingExtraError
-        rerun is not installed.
-    RunError
-        A frame is missing or not classified, or the file cannot be written.
     """
     rerun = _rerun_module()
     part = path.with_name(f".{path.stem}.part{path.suffix}")

@@ -40,7 +40,6 @@ def write_video(
 
     Parameters
     ----------
-    run : RunFolder
     folder : str
         The camera's folder in ``depth/``; empty for the only camera of a run.
     stream : CameraStream, optional
@@ -54,13 +53,6 @@ def write_video(
     -------
     Path
         Of the video.
-
-    Raises
-    ------
-    RunError
-        A depth map is missing, or the video cannot be written.
-    DatasetError
-        A depth map or an image is damaged.
     """
     depths = run.path / "depth" / folder
     maps, known = maps_in(depths), described_maps(depths)
@@ -104,11 +96,6 @@ def write_video_from_above(
         Sweeps per second; the recorded rate if absent.
     progress : callable, optional
         As for :func:`write_video`.
-
-    Raises
-    ------
-    RunError
-        A frame is missing or not classified, or the video cannot be written.
     """
     trajectory, tracks = run.trajectory(), tracks_in(run.path)
     frames = (sweep_from_above(run, trajectory, tracks, k) for k in range(len(trajectory)))

@@ -81,11 +81,6 @@ class RunView:
         The camera; its images are shown.
     tell : callable, optional
         Called with what is shown, whenever that changes: Open3D writes no text into its window.
-
-    Raises
-    ------
-    InputError
-        The run has no such sweep.
     """
 
     run: RunFolder
@@ -109,13 +104,6 @@ class RunView:
 
         Keys: right and left go to the next sweep and back, page down and page up by ten, C colours
         by class, votes or instance, D hides the depth map.
-
-        Raises
-        ------
-        InputError
-            The run has no votes or instances.
-        RunError
-            The sweep is not classified.
         """
         geometries, pose = self.go(0)
         keys: dict[int, Callable[[], Scene]] = {
@@ -200,13 +188,6 @@ def scene_geometries(
     dict of str to open3d.geometry.Geometry
         ``points``, ``tracks``, ``trajectory``, ``camera 0`` ..., ``image 0`` ..., ``depth 0`` ...,
         world frame.
-
-    Raises
-    ------
-    InputError
-        A depth map does not fit its camera.
-    MissingExtraError
-        Open3D is not installed.
     """
     o3d = _open3d_module()
     geometries = {"points": _cloud(o3d, points, colors)}
@@ -299,13 +280,6 @@ def show(
         the pose.
     legend : sequence of str
         Lines of text for the PNG.
-
-    Raises
-    ------
-    BackendError
-        There is no display, or the PNG cannot be rendered.
-    MissingExtraError
-        Open3D is not installed.
     """
     o3d = _open3d_module()
     if image is None and not _has_display():

@@ -54,7 +54,6 @@ class FolderLidar(Strict):
     ----------
     sweeps : str
         Folder of its sweeps.
-    times : str, optional
     T_lidar_sensor : list of float, optional
         Takes its points to the frame of the first LiDAR; identity if left out.
     """

@@ -26,11 +26,6 @@ class RunDataset(DatasetRepr):
     ----------
     path : Path
         The run folder.
-
-    Raises
-    ------
-    RunError
-        It holds no run, or a file is damaged.
     """
 
     name = "run"

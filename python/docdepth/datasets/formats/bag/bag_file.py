@@ -64,7 +64,6 @@ class BagFile:
 
     Attributes
     ----------
-    files : list of Path
     topics : dict of str
         Type of the messages of each topic.
     """
