@@ -22,6 +22,7 @@ from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import read_tracks
 from docdepth.pipeline.render import report
+from docdepth.visualization import report_images
 from docdepth.visualization.drive_map import DriveMap, drive_map, heights_above_ground, map_section
 from docdepth.visualization.page import embedded
 from docdepth.visualization.pictures import colorize
@@ -78,7 +79,7 @@ def page(finished) -> Page:
 
 def test_the_page_needs_no_other_file(page):
     assert page.links
-    assert all(link.startswith("data:image/jpeg;base64,") for link in page.links)
+    assert all(re.match(r"data:image/(jpe|pn)g;base64,", link) for link in page.links)
     assert not re.search(r"https?://(?!www.w3.org/2000/svg)|@import|url\(", page.text)
 
 
@@ -234,14 +235,60 @@ def test_a_report_without_the_recording_has_no_images(tmp_path):
         report(RunFolder.open(run))
 
 
+_USED = """<script>addEventListener("load", () => {
+const frame = document.querySelector(".views"), wiper = document.querySelector(".wipe");
+const box = frame.getBoundingClientRect(), told = frame.querySelector("output"), found = [];
+for (let row = 0; row < HEIGHT; ++row) for (let column = 0; column < WIDTH; ++column) {
+  const place = { clientX: box.left + (column + 0.5) / WIDTH * box.width,
+    clientY: box.top + (row + 0.5) / HEIGHT * box.height, bubbles: true };
+  frame.dispatchEvent(new PointerEvent("pointermove", place));
+  found.push(told.textContent);
+}
+wiper.value = 30;
+wiper.oninput();
+const shown = [...frame.querySelectorAll("img:not([hidden])")];
+const views = shown.map((picture) => [picture.dataset.view, picture.style.clipPath]);
+const fits = document.documentElement.scrollWidth <= innerWidth;
+const said = JSON.stringify({ found, views, fits });
+document.body.innerHTML = `<pre id=said>${said}</pre>`;
+})</script>"""
+
+
 @pytest.mark.slow
-def test_a_browser_runs_the_page(finished):
+@pytest.mark.parametrize("width", [1280, 500])  # Chromium has no narrower window
+def test_a_browser_runs_the_page(finished, tmp_path, width):
     browser = shutil.which("chromium") or shutil.which("google-chrome")
     if not browser:
         pytest.skip("no Chromium")
-    page = (finished[0] / "report" / "index.html").as_uri()
-    options = ("--headless", "--no-sandbox", "--disable-gpu", "--dump-dom")
-    made = subprocess.run([browser, *options, page], capture_output=True, text=True, timeout=60)
-    pressed = re.findall(r'data-choose="(\w+)" aria-pressed="(\w+)"', made.stdout)
+    page = finished[0] / "report" / "index.html"
+    options = ("--headless", "--no-sandbox", "--disable-gpu", f"--window-size={width},900")
+
+    def shown(page: Path) -> str:
+        made = [browser, *options, "--dump-dom", page.as_uri()]
+        return subprocess.run(made, capture_output=True, text=True, timeout=60).stdout
+
+    text = shown(page)
+    pressed = re.findall(r'data-choose="(\w+)" aria-pressed="(\w+)"', text)
     assert pressed == [("depth", "true"), ("image", "false"), ("class", "false")]
-    assert made.stdout.count('class="ego"') == 1
+    assert text.count('class="ego"') == 1
+
+    depth = read_depth(min((finished[0] / "depth").glob("*.png")))
+    used = tmp_path / "used.html"
+    size = _USED.replace("WIDTH", str(depth.shape[1])).replace("HEIGHT", str(depth.shape[0]))
+    used.write_text(page.read_text(encoding="utf-8") + size, encoding="utf-8")
+    said = json.loads(re.search(r"id=.?said.?>(.*?)</pre>", shown(used), re.S)[1])
+    assert said["fits"]
+    assert said["views"] == [["depth", "inset(0px 0px 0px 30%)"], ["image", ""]]
+    values = [np.nan if text == "no depth" else float(text[:-2]) for text in said["found"]]
+    assert np.allclose(np.reshape(values, depth.shape), depth, atol=0.0051, equal_nan=True)
+
+
+def test_images_that_the_page_does_not_hold_are_files_beside_it(finished, monkeypatch, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(finished[0], run)
+    monkeypatch.setattr(report_images, "IMAGES", 2)
+    page = Page(report(RunFolder.open(run)))
+    files = re.findall(r"class=name data-of=(\d) [^>]*data-file=\"([^\"]*)\"", page.text)
+    assert {k for k, _ in page.images} == {"0", "3"}
+    assert [bool(file) for _, file in files] == [False, True, True, False]
+    assert all((run / "report" / file).is_file() for _, file in files if file)

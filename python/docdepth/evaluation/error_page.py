@@ -59,7 +59,8 @@ _SOON = 100_000_000  # nanoseconds between a sweep and its photo
 _REACH, _SIDE = 50.0, 1000  # of the view from above: metres to each side, pixels
 
 _STYLE = """
-.bars { display: flex; align-items: flex-end; height: 80px; border: 1px solid #ccc; gap: 1px }
+.bars { display: flex; align-items: flex-end; height: 80px; gap: 1px;
+  border: 1px solid var(--line) }
 .bars i { flex: 1; background: #d55e00; min-width: 1px }
 """
 
@@ -107,8 +108,8 @@ class ErrorPage:
         parts = [head(self.title, FLIP_STYLE + _STYLE), f"<p>{escape(self.what)}</p>"]
         parts += [f"<p><b>warning:</b> {escape(line)}</p>" for line in found]
         if leaves:
-            of = f"worst first, {len(leaves)} of {len(self._scores)}; keys: arrows and 1, 2, 3 ..."
-            book = flip_book(leaves, self.titles, self.legends, f"({of})")
+            of = f"worst first, {len(leaves)} of {len(self._scores)}"
+            book = flip_book(leaves, self.titles, self.legends, of)
             parts += [f"<h2>The worst {self.images}</h2>", book]
             parts += [f"<h2>All {self.images}</h2>", self._chart()]
         parts.append("<h2>Figures</h2>")

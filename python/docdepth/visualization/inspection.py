@@ -15,7 +15,7 @@ from docdepth.visualization.pictures import Picture
 Figures = dict[str, Any]
 """Figures by name, ready for JSON, in groups that recordings differ in."""
 
-_COLORS = {"error": "#b00020", "warning": "#a05a00", "note": "#555"}
+_COLORS = {"error": "#d32f4a", "warning": "#b86a00", "note": "#777"}
 _UNITS = {"_m_s": "m/s", "_m": "m", "_ns": "ns", "_s": "s", "_hz": "Hz", "_deg": "degrees"}
 _MEANINGS = {
     "sweeps": "stamps of the sweeps",

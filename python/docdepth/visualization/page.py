@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from docdepth.errors import DatasetError
 from docdepth.io.atomic import move_aside, write_atomically
@@ -20,15 +21,18 @@ from docdepth.visualization.pictures import Picture
 _MARKS = "<!-- docdepth page -->", "<!-- docdepth inspect -->"  # today's, and that of earlier pages
 
 STYLE = """
-:root { color-scheme: light }
+:root { color-scheme: light dark; --ink: #1a1a1a; --paper: #fff; --soft: #595959; --line: #ccc;
+  --fill: #f0f0f0; --accent: #003c96; --alert: #fff4ec }
+@media (prefers-color-scheme: dark) { :root { --ink: #e4e4e4; --paper: #17191c; --soft: #a8a8a8;
+  --line: #4a4d52; --fill: #2b2e33; --accent: #8ab4ff; --alert: #3a2a1e } }
 body { font: 15px/1.5 system-ui, sans-serif; margin: 1.5em auto; max-width: 1300px; padding: 0 1em;
-  color: #1a1a1a; background: #fff }
+  color: var(--ink); background: var(--paper) }
 h1 { font-size: 24px; margin: 0 } h2 { font-size: 18px; margin: 2em 0 .5em }
 table { border-collapse: collapse; margin: .5em 0; display: block; overflow-x: auto }
 td, th { padding: .2em 1.2em .2em 0; text-align: left; vertical-align: top }
-th { font-weight: 600; border-bottom: 1px solid #ccc }
+th { font-weight: 600; border-bottom: 1px solid var(--line) }
 figure { margin: 0 0 1em } img, video { max-width: 100% }
-figcaption, .note { color: #595959; font-size: 13px }
+figcaption, .note { color: var(--soft); font-size: 13px }
 .legend { display: flex; flex-wrap: wrap; gap: .2em 1.4em; font-size: 13px; margin: .4em 0 }
 .legend i { display: inline-block; width: 1em; height: 1em; vertical-align: -2px;
   border: 1px solid #888 } .legend i:last-of-type { margin-right: .4em }
@@ -40,12 +44,18 @@ figcaption, .note { color: #595959; font-size: 13px }
 
 FLIP_STYLE = """
 .row { display: flex; flex-wrap: wrap; gap: .6em; align-items: center; margin: .4em 0 }
-.row input { flex: 1; min-width: 60px }
+.row input { flex: 1; min-width: 60px; accent-color: var(--accent) }
 button { font: inherit; padding: .15em .8em; border: 1px solid #888; border-radius: 4px;
-  background: #f2f2f2; cursor: pointer }
-button[aria-pressed=true] { background: #003c96; color: #fff }
-.views { background: #181818; min-height: 60px } .views img { display: block; width: 100%;
-  max-height: 78vh; object-fit: contain }
+  color: inherit; background: var(--fill); cursor: pointer }
+button[aria-pressed=true] { background: var(--accent); color: var(--paper) }
+.views { display: grid; position: relative; overflow: hidden; min-height: 60px; color: #fff;
+  background: #181818; cursor: zoom-in; touch-action: pan-y }
+.views img { grid-area: 1 / 1; display: block; width: 100%; max-height: 78vh;
+  object-fit: contain }
+.views.large { cursor: zoom-out; touch-action: none }
+.views.large img { transform: scale(4); image-rendering: pixelated }
+.views output { position: absolute; top: .4em; left: .4em; padding: .1em .6em; border-radius: 4px;
+  background: #000b; pointer-events: none; font-variant-numeric: tabular-nums }
 [hidden], .views img[hidden] { display: none }
 """
 """Of a page with a :func:`flip_book`."""
@@ -135,6 +145,21 @@ def embedded(picture: Picture, most: int | None = None) -> str:
         picture = np.asarray(cv2.resize(picture, half, interpolation=cv2.INTER_AREA), np.uint8)
 
 
+def embedded_depth(depth: NDArray[np.float32], most: int) -> str:
+    """A link that holds a depth map of at most so many pixels, for the value under the pointer.
+
+    It is a PNG whose red and green are the high and the low byte of the depth in centimetres; 0
+    where there is none.
+    """
+    step = int(np.ceil((depth.size / most) ** 0.5))
+    cm = np.nan_to_num(depth[::step, ::step] * 100).round().clip(0, 65535).astype(np.uint16)
+    low = (cm & 255).astype(np.uint8)
+    bgr = np.stack([np.zeros_like(low), low, (cm >> 8).astype(np.uint8)], axis=2)
+    return (
+        "data:image/png;base64," + base64.b64encode(cv2.imencode(".png", bgr)[1].tobytes()).decode()
+    )
+
+
 def css(color: Sequence[int]) -> str:
     """A colour of a picture (BGR) for a page."""
     blue, green, red = (int(value) for value in color)
@@ -176,25 +201,38 @@ class Leaf(NamedTuple):
     Attributes
     ----------
     views : dict of str to str
-        Links that hold the pictures, by view.
+        Links that hold the pictures, by view. The view ``image`` is the photo, which others can be
+        wiped away from.
     seconds : float
         When it was taken, for what else the page shows of that time.
+    values : str
+        Link that holds the depth, of :func:`embedded_depth`; empty without.
+    file : str
+        A picture beside the page, for an image whose pictures the page does not hold.
     """
 
     caption: str
     views: dict[str, str]
     seconds: float = 0.0
+    values: str = ""
+    file: str = ""
+
+
+_WIPE = (
+    "<div class='row note'>photo<input class=wipe type=range min=0 max=100 value=0 "
+    "aria-label='share of the photo'></div>"
+)
 
 
 def flip_book(
     leaves: Sequence[Leaf], titles: Mapping[str, str], legends: Mapping[str, str], note: str = ""
 ) -> str:
-    """Pictures with buttons for the views and a slider for the images.
+    """Pictures with buttons for the views, a slider for the images, and one for the photo.
 
     Parameters
     ----------
     leaves : sequence of Leaf
-        At least one.
+        At least one; the first one has views.
     titles : mapping of str to str
         What the button of each view says; views that no image has are left out.
     legends : mapping of str to str
@@ -211,9 +249,14 @@ def flip_book(
         for view in views
         if view in leaf.views
     ]
+    pictures += [
+        f'<img src="{leaf.values}" data-values={k} alt="" hidden>'
+        for k, leaf in enumerate(leaves)
+        if leaf.values
+    ]
     names = [
-        f"<span class=name data-of={k} data-seconds={leaf.seconds:.3f}{' hidden' if k else ''}>"
-        f"{escape(leaf.caption)}</span>"
+        f'<span class=name data-of={k} data-seconds={leaf.seconds:.3f} data-file="'
+        f'{escape(leaf.file)}"{" hidden" if k else ""}>{escape(leaf.caption)}</span>'
         for k, leaf in enumerate(leaves)
     ]
     buttons = [f"<button data-choose={view}>{escape(titles[view])}</button>" for view in views]
@@ -221,13 +264,15 @@ def flip_book(
         f"<div data-of={view}{'' if view == first else ' hidden'}>{legends.get(view, '')}</div>"
         for view in views
     ]
+    how = "keys: arrows and 1, 2, 3 ...; a click magnifies"
     return "\n".join([
         f"<div class=flip><div class=row>{''.join(buttons)}</div>",
-        f"<div class=views>{''.join(pictures)}</div>{''.join(shown)}",
+        f"<div class=views>{''.join(pictures)}<output hidden></output></div>{''.join(shown)}",
+        _WIPE if "image" in views[1:] else "",
         "<div class=row><button class=before aria-label='image before'>&larr;</button>",
-        f"<input type=range min=0 max={len(leaves) - 1} value=0 aria-label=image>",
+        f"<input class=image type=range min=0 max={len(leaves) - 1} value=0 aria-label=image>",
         "<button class=after aria-label='next image'>&rarr;</button></div>",
-        f"<p>{''.join(names)} <span class=note>{escape(note)}</span></p></div>",
+        f"<p>{''.join(names)} <span class=note>({escape(f'{note}; {how}')})</span></p></div>",
     ])  # fmt: skip
 
 

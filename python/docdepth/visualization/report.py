@@ -45,13 +45,14 @@ _STYLE = (
     drive_map.STYLE
     + FLIP_STYLE
     + """
-.warnings { border-left: 4px solid #d55e00; padding: .2em 1em; background: #fff4ec }
-.bar { display: flex; height: 1.1em; background: #eee; min-width: 160px; width: 30vw;
-  max-width: 420px } .bar i { background: #003c96 }
+.warnings { border-left: 4px solid #d55e00; padding: .2em 1em; background: var(--alert) }
+.bar { display: flex; height: 1.1em; background: var(--fill); min-width: 160px; width: 30vw;
+  max-width: 420px } .bar i { background: var(--accent) }
 .chart { display: grid; grid-template-columns: auto 1fr; gap: 0 .5em; font-size: 13px }
 .chart div { display: flex; flex-direction: column; justify-content: space-between }
-.chart .x { flex-direction: row } .chart svg { width: 100%; height: 90px; border: 1px solid #ccc }
-.chart polyline { fill: none; stroke: #003c96; stroke-width: 2px;
+.chart .x { flex-direction: row }
+.chart svg { width: 100%; height: 90px; border: 1px solid var(--line) }
+.chart polyline { fill: none; stroke: var(--accent); stroke-width: 2px;
   vector-effect: non-scaling-stroke } .times td:not(.note) { white-space: nowrap }
 .times .note { min-width: 300px } .times th { white-space: nowrap }
 .facts td { overflow-wrap: anywhere; min-width: 6em }
@@ -99,9 +100,9 @@ def write_report(run: RunFolder, streams: Mapping[str, CameraStream]) -> Path:
         head(f"docdepth: {run.path.resolve().name}", _STYLE),
         f"<p>{escape(_summary(run, trajectory, tracks, cameras))}</p>",
         _warnings(run),
+        *(_camera(run, page, trajectory) for page in cameras),
         "<h2>The drive from above</h2>",
         drive_map.map_section(drive_map.drive_map(run), trajectory, tracks),
-        *(_camera(run, page, trajectory) for page in cameras),
         "<h2>Time</h2>",
         _time(run),
         "<h2>Parameters</h2>",
@@ -193,7 +194,8 @@ def _warnings(run: RunFolder) -> str:
 
 def _camera(run: RunFolder, page: CameraPage, trajectory: Trajectory) -> str:
     """Images of a camera to flip between, its density and its held-out errors."""
-    note = f"({len(page.leaves)} of {len(page.density)} images; keys: arrows and 1, 2, 3 ...)"
+    within = sum(bool(leaf.views) for leaf in page.leaves)
+    note = f"{within} of {len(page.leaves)} images with all views"
     bare = not any("image" in leaf.views for leaf in page.leaves)
     no_photos = "No photos of this camera are at hand, so classes are drawn on black."
     verdict = run.stage(f"render {page.name}").calibration

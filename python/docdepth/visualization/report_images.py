@@ -19,16 +19,17 @@ from docdepth.io.depth import described_maps, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.untrusted import ArrayError, read_arrays
 from docdepth.visualization.image_views import draw_tracks, photo_of, view_of_layer, view_of_points
-from docdepth.visualization.page import Leaf, embedded
+from docdepth.visualization.page import Leaf, embedded, embedded_depth
 from docdepth.visualization.pictures import Picture, colorize
 
 IMAGES = 12
-"""Of a camera, spaced evenly over the drive, fewer where there are many cameras."""
+"""Of a camera within the page, spaced evenly over the drive, fewer where there are many cameras."""
 
 _PICTURES = 72  # on a page
 _BYTES = 8_500_000  # of all pictures of a page, before they become text
 _LARGEST = 500_000  # pixels of a picture
 _LARGEST_BYTES = 150_000
+_VALUES = 80_000  # pixels whose depth the page holds, of an image
 _LAYERS = ("confidence", "seen", "instance")  # shown where the run has them
 
 
@@ -38,7 +39,8 @@ class CameraPage(NamedTuple):
     Attributes
     ----------
     leaves : list of Leaf
-        Some of its images, with the views ``image``, ``depth``, ``class`` and layers.
+        Its images, some of them with the views ``image``, ``depth``, ``class`` and layers, the
+        others as the files beside the page.
     density : list of (int, float)
         Time [ns] and share of pixels with depth of each map.
     below_horizon : float
@@ -54,7 +56,7 @@ class CameraPage(NamedTuple):
 def camera_pages(
     run: RunFolder, streams: Mapping[str, CameraStream], tracks: Sequence[Track]
 ) -> Iterator[CameraPage]:
-    """The cameras of a run that have depth maps, each with a few of its images.
+    """The cameras of a run that have depth maps, each with its images.
 
     Parameters
     ----------
@@ -71,15 +73,20 @@ def camera_pages(
             continue
         is_below = below_horizon(*run.calibration(entry.folder)[:2])
         leaves, shares = [], []
-        for k in np.unique(np.rint(np.linspace(0, len(names) - 1, min(count, len(names))))):
-            name = names[int(k)]
-            time, depth = maps[name][0], read_depth(files[name])
+        within = set(np.rint(np.linspace(0, len(names) - 1, min(count, len(names)))).astype(int))
+        for k, name in enumerate(names):
+            seconds = (maps[name][0] - start) * 1e-9
+            leaf = Leaf(f"image {name} at {seconds:.1f} s", {}, seconds)
+            if k not in within:
+                file = Path(entry.folder, f"{name}.jpg").as_posix()
+                leaves.append(leaf._replace(file=file))
+                continue
+            depth = read_depth(files[name])
             photo = photo_of(streams.get(camera), name)
-            pictures = _pictures(run, entry.folder, name, time, photo, tracks)
+            pictures = _pictures(run, entry.folder, name, maps[name][0], photo, tracks)
             pictures["depth"] = colorize(depth, bar=False)
             views = {view: embedded(_reduced(p), most) for view, p in pictures.items()}
-            seconds = (time - start) * 1e-9
-            leaves.append(Leaf(f"image {name} at {seconds:.1f} s", views, seconds))
+            leaves.append(leaf._replace(views=views, values=embedded_depth(depth, _VALUES)))
             if is_below.any():
                 shares.append(np.isfinite(depth[is_below]).mean())
         below = float(np.mean(shares or [np.nan]))
