@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import pickle
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -321,15 +320,6 @@ def test_loaders_may_take_scenes_and_datasets_to_workers(sweeps, labels, drive: 
     dataset = docdepth.open_dataset(drive)
     sent = pickle.loads(pickle.dumps(docdepth.register_drive(dataset, poses=dataset.poses)))
     assert (sent.sweeps[1].points == dataset.sweep(1).points).all()
-
-
-def test_a_scene_draws_the_same_in_many_threads(sweeps, labels) -> None:
-    scene = docdepth.Scene(sweeps, TRAJECTORY, labels)
-    alone = [docdepth.render_depth(scene, STREAM, k) for k in range(4)]
-    with ThreadPoolExecutor(8) as pool:
-        many = pool.map(lambda k: docdepth.render_depth(scene, STREAM, k % 4), range(24))
-        for k, depth in enumerate(many):
-            assert np.array_equal(depth, alone[k % 4], equal_nan=True)
 
 
 def test_labels_and_depth_are_those_of_a_run(drive: Path, finished: tuple[Path, str]) -> None:

@@ -77,17 +77,6 @@ def test_moving_box_is_dynamic_and_the_yard_static_with_the_paper_preset(yard):
         assert (label.classid[w == 2] == 100).mean() > 0.95
 
 
-@pytest.mark.parametrize("p", [PAPER, DEFAULT], ids=["paper", "default"])
-def test_one_and_two_threads_agree(yard, p):
-    trajectory, sweeps, what = yard
-    ground = [w == 0 for w in what]
-    one, two = (classify_drive(sweeps, trajectory, p, ground, threads=t) for t in (1, 2))
-    for a, b in zip(one, two, strict=True):
-        np.testing.assert_array_equal(a.votes.static, b.votes.static)
-        np.testing.assert_array_equal(a.votes.dynamic, b.votes.dynamic)
-        np.testing.assert_array_equal(a.classid, b.classid)
-
-
 def random_votes(points, seed, patches=40):
     """Votes that agree in patches and are wrong here and there, with every share and ratio."""
     rng = np.random.default_rng(seed)

@@ -16,8 +16,7 @@ from docdepth.geometry.lidar_frame import LidarFrame, SensorRig
 from docdepth.ground.growing import grow_ground
 from docdepth.io.frames import write_trajectory
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline import classify as classify_stage
-from docdepth.pipeline import run_classify, sweep_store
+from docdepth.pipeline import run_classify
 from lidar_rays import scan_rays
 from walled_yard import scan, straight
 
@@ -120,44 +119,6 @@ def test_the_rig_of_a_sweep_is_used(yard):
     for a, b in zip(labels, classify_drive(moving, trajectory, ground=ground), strict=True):
         np.testing.assert_array_equal(a.votes.static, b.votes.static)
         np.testing.assert_array_equal(a.classid, b.classid)
-
-
-@pytest.mark.slow
-def test_an_interrupted_run_continues_and_ends_the_same(street, few_votes, tmp_path, monkeypatch):
-    trajectory, sweeps, _ = street
-    p = parameters("default", few_votes)
-    run = folder_of(tmp_path / "run", trajectory, sweeps, p)
-    run_classify(run, threads=1)
-    assert_same_labels(run, classify_drive(sweeps, run.trajectory(), p))
-    assert not (run.state_dir / "evidence").exists()
-
-    again = folder_of(tmp_path / "again", trajectory, sweeps, p)
-    # While it writes ground; then while it votes, and while it adds tracks.
-    for module, name, times in (
-        (classify_stage, "write_arrays", 0),
-        (sweep_store, "write_arrays", 7),
-        (sweep_store, "write_arrays", 3),
-        (sweep_store, "write_classified", 7),
-    ):
-        whole, left = getattr(module, name), iter(range(times))
-
-        def interrupted(*arguments, whole=whole, left=left):
-            if next(left, None) is None:
-                raise KeyboardInterrupt
-            whole(*arguments)
-
-        with monkeypatch.context() as patch:
-            patch.setattr(module, name, interrupted)
-            with pytest.raises(KeyboardInterrupt):
-                run_classify(again)
-    seen = sorted((again.state_dir / "evidence").glob("*/*.npz"))
-    assert len(seen) == len(sweeps)
-    size = seen[4].stat().st_size
-    with seen[4].open("r+b") as stream:  # as a disk may leave it when the power goes
-        stream.truncate(size // 2)
-    run_classify(RunFolder.open(again.path))
-    for i in range(len(sweeps)):
-        assert run.frame_path(i).read_bytes() == again.frame_path(i).read_bytes()
 
 
 def test_objects_are_connected_points_above_the_ground(street):

@@ -113,35 +113,6 @@ def wait_for(path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_second_process_is_told_and_leaves_the_run_alone(
-    drive: Path, whole: Path, tmp_path: Path
-) -> None:
-    first = start(drive, tmp_path / "run")
-    wait_for(tmp_path / "run" / "frames" / "frame_000001.ply")
-    commands = (
-        ["run", drive, "-o", tmp_path / "run", "--camera", "image_2"],
-        ["run", tmp_path / "run", "--set", "odometry.min_range=3.5"],
-    )
-    for command in commands:
-        second = subprocess.run(
-            [sys.executable, "-m", "docdepth", *map(str, command)], capture_output=True, text=True
-        )
-        assert second.returncode == 2
-        said = " ".join(second.stderr.split())
-        assert f"in use by process {first.pid} on" in said
-    told = subprocess.run(
-        [sys.executable, "-m", "docdepth", "status", tmp_path / "run"],
-        capture_output=True,
-        text=True,
-    )
-    assert f"in use by process {first.pid}" in " ".join(told.stdout.split())
-    (tmp_path / "go").write_text("")
-    assert first.communicate()[1].count("error") == 0
-    assert first.returncode == 0
-    assert results(tmp_path / "run") == results(whole)
-
-
-@pytest.mark.slow
 def test_ctrl_c_leaves_a_clean_state(drive: Path, whole: Path, tmp_path: Path) -> None:
     process = start(drive, tmp_path / "run")
     wait_for(tmp_path / "run" / "frames" / "frame_000001.ply")

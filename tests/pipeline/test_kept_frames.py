@@ -176,8 +176,8 @@ def test_another_word_is_refused(root: Path) -> None:
 
 def test_a_damaged_note_of_deleted_frames_is_not_believed(root: Path) -> None:
     file = root / "results" / "run.yaml"
-    lines = file.read_text().split("without_frames:")[0]
-    file.write_text(lines + "without_frames: yes\n")
+    lines = file.read_text().split("frames_deleted:")[0]
+    file.write_text(lines + "frames_deleted: yes\n")
     make(root, "results")  # by the copy of run.yaml
     assert contents(root / "results").keys() - {"run.yaml.old"} == {
         name for name in contents(root / "all") if not is_frame(name)

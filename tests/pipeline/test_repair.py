@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -396,22 +395,6 @@ def test_two_first_commands_at_once(root):
             or (code == 2 and "another command has changed" in message)
         ), message
     assert {state for state, _ in state_of(root).values()} == {"done"}
-
-
-@pytest.mark.slow
-def test_killed_runs_continue(root):
-    """By a signal, in the middle, several times; then the same bytes."""
-    before = files(root / "run")
-    shutil.rmtree(root / "run")
-    command = [sys.executable, "-m", "docdepth", "run", root / "drive", "-o", root / "run"]
-    command += ["--poses", root / "poses.txt"]
-    for seconds in (1.2, 1.6, 2.0):
-        process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-        time.sleep(seconds)
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    assert again(root).exit_code == 0
-    assert files(root / "run") == before
 
 
 def test_a_run_without_its_state_says_what_to_do(root):
