@@ -344,7 +344,7 @@ def parameters(preset: Preset = "default", settings: Settings | None = None) -> 
     return stored_parameters({"preset": preset, **tree})
 
 
-def given(values: Parameters | None) -> Parameters:
+def checked_parameters(values: Parameters | None) -> Parameters:
     """The parameters that a function was given; the defaults for None."""
     if values is not None and not isinstance(values, Parameters):
         raise InputError(

@@ -14,7 +14,12 @@ from command_line import cli
 from docdepth.config import parameters
 from docdepth.datasets import CameraStream
 from docdepth.diagnostics import calibration
-from docdepth.diagnostics.calibration import RunEdges, compare, edges_of_images, judge
+from docdepth.diagnostics.calibration import (
+    RunEdges,
+    check_camera_calibration,
+    compare,
+    edges_of_images,
+)
 from docdepth.diagnostics.depth_edges import edges_of_map, pixels_of_tracks
 from docdepth.errors import CalibrationError
 from docdepth.geometry.camera import Camera
@@ -149,21 +154,21 @@ def test_images_from_one_place_count_once(monkeypatch) -> None:
     assert waiting.names == ["000000"]
     with pytest.raises(CalibrationError, match="take a drive that moves"):
         compare(waiting)
-    assert judge(waiting) == (None, [])
+    assert check_camera_calibration(waiting) == (None, [])
     crawling = images_along([0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.4], monkeypatch)
     assert crawling.names == ["000000", "000003", "000006", "000007"]
 
 
 def test_a_run_finds_a_wrong_calibration() -> None:
-    verdict, found = judge(made())
+    verdict, found = check_camera_calibration(made())
     assert verdict is not None
     assert "agrees with the images" in verdict
     assert found == []
-    verdict, (finding,) = judge(made((0, 0.5, 0)))
+    verdict, (finding,) = check_camera_calibration(made((0, 0.5, 0)))
     assert verdict == finding.text
     assert (finding.code, finding.subject) == ("calibration-off", "front")
     assert "degrees to the left" in finding.text
-    verdict, (finding,) = judge(made(unrelated=True))
+    verdict, (finding,) = check_camera_calibration(made(unrelated=True))
     assert verdict == finding.text
     assert finding.code == "by-chance"
 

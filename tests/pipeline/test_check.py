@@ -24,7 +24,7 @@ from docdepth.errors import (
 from docdepth.io.inputs import RunInputs
 from docdepth.odometry.odometry import register_drive
 from docdepth.pipeline import execution
-from docdepth.pipeline.check import check_inputs, report_inputs
+from docdepth.pipeline.check import check_inputs
 from docdepth.pipeline.execution import check_image_size
 
 
@@ -33,7 +33,7 @@ def source(dataset: Path, **values: Any) -> RunInputs:
 
 
 def problems(dataset: Path, output: Path | None = None, **values: Any) -> list[Finding]:
-    return check_inputs(source(dataset, **values), parameters(), output)
+    return check_inputs(source(dataset, **values), parameters(), output).findings
 
 
 def texts(found: list[Finding], severity: str) -> str:
@@ -61,7 +61,7 @@ def edit_calibration(sequence: Path, name: str, change: Any) -> None:
 
 
 def test_a_good_drive_has_no_problem(drive: Path, tmp_path: Path) -> None:
-    report = report_inputs(source(drive), parameters(), tmp_path / "run")
+    report = check_inputs(source(drive), parameters(), tmp_path / "run")
     assert report.findings == []
     assert report.summary.startswith("5 sweeps of ")
     assert "image_2 (4 images); by estimate 0." in report.summary
@@ -164,7 +164,7 @@ def test_a_partial_sweep_is_told_though_it_is_not_opened(
 
 def test_parameters_that_leave_no_point(drive: Path) -> None:
     settings = {"odometry.min_range": 4.99, "odometry.max_range": 5.0}
-    found = check_inputs(source(drive), parameters("default", settings))
+    found = check_inputs(source(drive), parameters("default", settings)).findings
     assert "max_range=5 leave 0 % of the points" in texts(found, "error")
 
 
@@ -289,7 +289,7 @@ def test_missing_extras_and_formats_are_found_first(
 ) -> None:
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
     values = parameters("default", {"output.format": "exr,png", "output.scale": 10000})
-    errors = texts(check_inputs(source(drive), values), "error")
+    errors = texts(check_inputs(source(drive), values).findings, "error")
     assert 'pip install "docdepth[exr]"' in errors
     assert "a PNG of metres x 10000 holds no more" in errors
 
@@ -366,7 +366,7 @@ def test_frames_are_opened_and_poses_cut(drive: Path, tmp_path: Path) -> None:
     assert poses is not None
     assert len(poses) == 2
     assert streams[0].names == ["000000", "000001", "000002"]
-    assert report_inputs(given, parameters()).summary.startswith("2 sweeps of ")
+    assert check_inputs(given, parameters()).summary.startswith("2 sweeps of ")
 
 
 def test_maps_of_other_times_are_named_like_the_files_of_the_sequence(

@@ -28,7 +28,7 @@ from docdepth.calibration.quality import (
     uncertainty,
 )
 from docdepth.calibration.sweeps import BoardSweep
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets.files import ImageSource
 from docdepth.errors import CalibrationError, Finding, log_findings
 from docdepth.geometry.se3 import inverse
@@ -108,7 +108,7 @@ def calibrate(
     size: tuple[int, int],
     lens: Lens | None = None,
     model: str = "pinhole",
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
 ) -> Calibration:
     """Calibrate a camera and a LiDAR.
 
@@ -165,7 +165,7 @@ def find(
     size: tuple[int, int],
     lens: Lens | None = None,
     model: str = "pinhole",
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
 ) -> tuple[list[Observation], Solution, dict[str, str]]:
     """Find all boards; the parameters are those of :func:`calibrate`.
 

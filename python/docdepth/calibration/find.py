@@ -20,7 +20,7 @@ from docdepth.calibration.consensus import (
 from docdepth.calibration.outline import PAST, crossings
 from docdepth.calibration.search import Patch, find_patches, fit_patch
 from docdepth.calibration.sweeps import BoardSweep
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.errors import CalibrationError
 from docdepth.geometry.se3 import inverse
 
@@ -74,7 +74,7 @@ def check_varied(normals: Floats, where: str) -> None:
 
 
 def find_boards(
-    board: Board, seen: Sequence[SeenBoard], progress: Progress | None = None
+    board: Board, seen: Sequence[SeenBoard], progress: Progress = null_progress
 ) -> tuple[list[Observation], Floats, dict[str, str]]:
     """Find the board in all sweeps.
 
@@ -105,7 +105,7 @@ def find_boards(
     return found, T_lidar_camera, not_used
 
 
-def _first_extrinsic(board: Board, seen: Sequence[SeenBoard], progress: Progress | None) -> Floats:
+def _first_extrinsic(board: Board, seen: Sequence[SeenBoard], progress: Progress) -> Floats:
     """``T_lidar_camera`` out of free patches: in some sweeps first, then in all."""
     best = searched = 0
     for lever_arm in _LEVER_ARMS:
@@ -115,8 +115,7 @@ def _first_extrinsic(board: Board, seen: Sequence[SeenBoard], progress: Progress
             away = float(np.linalg.norm(seen[k].T_camera_board[:3, 3]))
             limits = (away - lever_arm, away + lever_arm)
             patches[k] = find_patches(seen[k].sweep, board, limits)
-            if progress is not None:
-                progress("sweeps", done, min(len(seen), _MOST_SEARCHED))
+            progress("sweeps", done, min(len(seen), _MOST_SEARCHED))
             if done < min(_FIRST_SEARCHED, len(seen)):
                 continue
             cameras = [s.T_camera_board for s in seen]

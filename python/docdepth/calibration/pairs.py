@@ -13,7 +13,7 @@ from docdepth.calibration.calibrate import BoardPair
 from docdepth.calibration.corners import counted_corners, find_corners, shows_markers
 from docdepth.calibration.find import FEWEST_BOARDS
 from docdepth.calibration.sweeps import board_sweep
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets import Dataset, ImageStream
 from docdepth.datasets.files import read_image_of
 from docdepth.errors import CalibrationError, DatasetError
@@ -35,7 +35,7 @@ def board_pairs(
     stream: ImageStream,
     board: Board,
     boxes: Mapping[str, Floats] | None = None,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
 ) -> tuple[list[BoardPair], tuple[int, int]]:
     """Find the checkerboard in the images, and read the sweeps that belong to them.
 
@@ -159,7 +159,7 @@ def _corners_of(
     stream: ImageStream,
     board: Board,
     together: Sequence[tuple[int, int]],
-    progress: Progress | None,
+    progress: Progress,
     thorough: bool,
 ) -> tuple[list[Floats | None], list[tuple[int, int]]]:
     corners, sizes = [], []
@@ -167,8 +167,7 @@ def _corners_of(
         picture = read_image_of(stream.images[image])
         sizes.append((picture.shape[1], picture.shape[0]))
         corners.append(find_corners(picture, board, thorough))
-        if progress is not None:
-            progress("images", done, len(together))
+        progress("images", done, len(together))
     return corners, sizes
 
 

@@ -19,7 +19,7 @@ from docdepth.calibration.consensus import solve_scale
 from docdepth.calibration.corners import board_pose
 from docdepth.calibration.find import FEWEST_BOARDS
 from docdepth.calibration.outline import rays_near
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.errors import CalibrationError
 from docdepth.geometry.se3 import inverse, rotation_log
 
@@ -70,13 +70,12 @@ def leave_one_out(
     observations: Sequence[Observation],
     solution: Solution,
     free_lens: bool,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
 ) -> list[LeftOutBoard]:
     """Calibrate without each board in turn, and compare what LiDAR and camera say of it."""
     left_out = []
     for k, observation in enumerate(observations):
-        if progress is not None:
-            progress("each left out", k + 1, len(observations))
+        progress("each left out", k + 1, len(observations))
         rest = [j for j in range(len(observations)) if j != k]
         others = solve_bundle(
             board, [observations[j] for j in rest], solution.of(rest), free_lens, AT_EDGE[-1:]
@@ -101,7 +100,7 @@ def halves(
     observations: Sequence[Observation],
     solution: Solution,
     free_lens: bool,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
 ) -> Halves | None:
     """Compare calibrations of random halves; None for too few boards."""
     count, rng = len(observations), np.random.default_rng(0)
@@ -109,8 +108,7 @@ def halves(
         return None
     found = []
     for k in range(_SPLITS):
-        if progress is not None:
-            progress("halves", k + 1, _SPLITS)
+        progress("halves", k + 1, _SPLITS)
         order = rng.permutation(count)
         pair = []
         for rows in (np.sort(order[: count // 2]), np.sort(order[count // 2 :])):

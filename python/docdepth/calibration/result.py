@@ -16,7 +16,7 @@ from docdepth.calibration.bundle import Solution
 from docdepth.calibration.calibrate import BoardPair, Calibration
 from docdepth.calibration.corners import board_pose
 from docdepth.calibration.lens import Lens
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets.files import read_image_of
 from docdepth.geometry.camera import Camera
 from docdepth.io.atomic import write_output
@@ -62,7 +62,7 @@ def write_result(
     board: Board,
     pairs: Sequence[BoardPair],
     found: Calibration,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
 ) -> None:
     """Write calibration, quality, and a picture of every pair.
 
@@ -98,8 +98,7 @@ def write_result(
             picture = points_on_image(read_image_of(pair.image), board, pair, found.solution)
             encoded = cv2.imencode(".jpg", picture)[1].tobytes()
             write_output(folder / f"{pair.name}.jpg", partial(_write, encoded))
-        if progress is not None:
-            progress("pictures", done, len(pairs))
+        progress("pictures", done, len(pairs))
 
 
 def _write(content: bytes, stream: BinaryIO) -> None:

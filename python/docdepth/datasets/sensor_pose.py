@@ -207,7 +207,7 @@ def estimate_sensor_origin(recording: Dataset) -> SensorOrigin | None:
         place = _best_place(lambda place: _off_circles(circles, place), _FINE_STEPS, _ALL_WAYS)
         if _off_circles(circles, place) < _ON_CIRCLES:
             return SensorOrigin([place], _share(clouds, place), at_origin)
-    place = _best_place(lambda place: _loneliness(clouds, place), _STEPS, _AXES)
+    place = _best_place(lambda place: _lonely_cost(clouds, place), _STEPS, _AXES)
     best = SensorOrigin([place], _share(clouds, place), at_origin)
     places = find_lidars(clouds, place) if len(clouds) == _ORIGIN_SAMPLES else [place]
     if len(places) == 1:
@@ -246,7 +246,7 @@ def _best_place(
     return place
 
 
-def _loneliness(clouds: list[Cloud], place: Place) -> float:
+def _lonely_cost(clouds: list[Cloud], place: Place) -> float:
     """Logarithm of the share of lonely returns, and a little for what decides between equals."""
     lonely = 1 - _share(clouds, place) + _ALWAYS_LONELY
     spread = float(np.mean([_spread(cloud, place) for cloud in clouds]))

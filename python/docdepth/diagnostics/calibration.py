@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets import CameraStream
 from docdepth.diagnostics.alignment import OTHER_TIMES, in_words
 from docdepth.diagnostics.depth_edges import Edges, edges_of_map, pixels_of_tracks, profiles
@@ -145,7 +145,7 @@ def compare(found: RunEdges) -> CalibrationCheck:
     return CalibrationCheck(fit, found.count, len(found.edges), found.names[worst], picture)
 
 
-def judge(found: RunEdges) -> tuple[str | None, list[Finding]]:
+def check_camera_calibration(found: RunEdges) -> tuple[str | None, list[Finding]]:
     """The verdict in words, None where there are too few edges; and what is bad."""
     if not found.enough:
         return None, []
@@ -211,7 +211,7 @@ def edges_of_images(
     depth: Callable[[int], NDArray[np.float32]],
     trajectory: Trajectory,
     tracks: Tracks,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
     most: int = IMAGES,
 ) -> RunEdges:
     """Depth edges of some images, evenly along the path.
@@ -246,8 +246,7 @@ def edges_of_images(
         images.append(image)
         edges.append(edges_of_map(depth(indices[k]), moving))
         motions.append(_motion(trajectory, int(times[k]), stream))
-        if progress:
-            progress("camera", done, len(chosen))
+        progress("camera", done, len(chosen))
     return RunEdges(run, stream, [stream.names[indices[k]] for k in chosen], images, edges, motions)
 
 

@@ -18,7 +18,7 @@ from docdepth.datasets.files import (
     unreadable,
 )
 from docdepth.diagnostics.alignment import find_misalignment
-from docdepth.diagnostics.sweeps import of_broken, sample
+from docdepth.diagnostics.sweeps import broken_frames_found, sample
 from docdepth.errors import Collector, DatasetError, Finding, collected
 from docdepth.io.untrusted import open_file, read_text
 
@@ -79,7 +79,7 @@ def _check_images(stream: CameraStream) -> list[Finding]:
     for index in opened:
         with broken.collected():
             stream.rectified_image(index)
-    return found + of_broken(broken, len(opened))
+    return found + broken_frames_found(broken, len(opened))
 
 
 def _is_odd(image: ImageSource, size: tuple[int, int]) -> bool:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.errors import Finding
 from docdepth.geometry.points import DYNAMIC
@@ -75,7 +75,7 @@ _AS_IS = "as they are"
 
 
 def find_error_sources(
-    run: Path | str | RunFolder, progress: Progress | None = None
+    run: Path | str | RunFolder, progress: Progress = null_progress
 ) -> ErrorSources:
     """Look for errors of poses and of motion compensation in the sweeps of a run.
 
@@ -98,8 +98,7 @@ def find_error_sources(
         shifts += [] if shift is None else [shift]
         pair = _residuals(sweeps, trajectory, index)
         pairs += [pair] if pair else []
-        if progress:
-            progress("poses and times", done, len(chosen))
+        progress("poses and times", done, len(chosen))
     jitter = float(np.median(np.linalg.norm(shifts, axis=1))) if shifts else np.nan
     names = pairs[0] if pairs else {}
     return ErrorSources(jitter, {n: float(np.median([pair[n] for pair in pairs])) for n in names})

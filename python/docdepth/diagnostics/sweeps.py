@@ -83,12 +83,12 @@ def check_sweeps(
             with collected(found):
                 _check_parameters(sweep, place, parameters)
                 opened[index] = sweep
-    found += of_broken(broken, len(sampled))
+    found += broken_frames_found(broken, len(sampled))
     found += _check_usable_shares(opened, recording)
     return opened, found
 
 
-def of_broken(broken: Collector, count: int) -> list[Finding]:
+def broken_frames_found(broken: Collector, count: int) -> list[Finding]:
     """Which of so many frames are broken; if most are, none can be left out."""
     few = suggest_skipping if 2 * len(broken.errors) <= count else nullcontext
     found: list[Finding] = []

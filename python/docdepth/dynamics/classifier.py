@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 import docdepth._core as _core
 from docdepth.concurrency import Progress, null_progress
-from docdepth.config import Parameters, given
+from docdepth.config import Parameters, checked_parameters
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.dynamics.classes import DriveLabels, Labels
 from docdepth.dynamics.sweep_classifier import Evidence, SweepClassifier
@@ -66,27 +65,26 @@ def classify_drive(
     InputError
         The numbers of sweeps, poses and ground labels differ, or an array is wrong.
     """
-    p = given(parameters)
+    p = checked_parameters(parameters)
     Trajectory.check(trajectory, sweeps)
     if ground is None:
         ground = grow_ground(sweeps, trajectory, p, threads, progress)
     if len(ground) != len(sweeps):
         raise InputError(f"{len(sweeps)} sweeps need as many ground labels, got {len(ground)}")
     store, every = _Memory(sweeps, ground, sweep_seconds(trajectory.times)), range(len(sweeps))
-    report = partial(progress or null_progress, "classify")
+    tell = progress or null_progress
     classifier = SweepClassifier(trajectory, p.dynamics)
-    report(0, len(every))
-    classifier.vote_on(store, every, lambda done: report(done, len(every)), threads)
+    tell("classify", 0, len(every))
+    classifier.vote_on(store, every, lambda done: tell("classify", done, len(every)), threads)
     tracks: list[Track] = []
     if classifier.uses_tracks:
         tracked: list[TrackedSweep] = []
-        following = partial(progress or null_progress, "track")
         tracks = track_objects(
             store.detections.__getitem__,
             trajectory,
             tracked.append,
             threads,
-            lambda done: following(done, len(every)),
+            lambda done: tell("track", done, len(every)),
         )
         classifier.label_by_tracks(store, tracked, every, lambda done: None)
     labels = DriveLabels(store.labels[i] for i in every)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets import CameraStream
 from docdepth.diagnostics.calibration import (
     IMAGES,
@@ -77,7 +77,7 @@ def camera_error(
     run: Path | str | RunFolder,
     camera: str | None = None,
     max_depth: float = 80.0,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
 ) -> CameraError | None:
     """Estimate how wrong depth maps are because of their camera.
 
@@ -165,7 +165,7 @@ class FittedCamera:
 def fit_calibration(
     run: Path | str | RunFolder,
     camera: str | None = None,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
 ) -> FittedCamera:
     """Compare depth edges of a run with the edges of its images, and fit the camera to them.
 
@@ -193,7 +193,7 @@ def fit_calibration(
 def edges_of_run(
     run: Path | str | RunFolder,
     camera: str | None = None,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
     most: int = IMAGES,
 ) -> RunEdges:
     """Read what :func:`fit_calibration` compares; its parameters and errors."""

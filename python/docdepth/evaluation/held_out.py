@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.errors import InputError
 from docdepth.evaluation.depth import ERRORS
 from docdepth.evaluation.depth_metrics import RANGE_BINS, PixelSums, RegionErrors
@@ -146,7 +146,7 @@ def evaluate_held_out(
     max_range: float = 80.0,
     camera: str | None = None,
     threads: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
     left_out: LeftOut | None = None,
     look: Callable[[HeldOutView], None] | None = None,
 ) -> HeldOutResult:
@@ -203,8 +203,7 @@ def evaluate_held_out(
             distances[row] += cloud_distance(*clouds)
         if look:
             look(view)
-        if progress:
-            progress("held out", done + 1, len(evaluated))
+        progress("held out", done + 1, len(evaluated))
     of_all, of_clear = distances.tolist()
     return HeldOutResult(
         sweeps=len(evaluated),

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.errors import DatasetError
 from docdepth.evaluation.depth_truth import DepthTruth
 from docdepth.evaluation.runs import truth_folder
@@ -171,7 +171,7 @@ def true_normals(depth: NDArray[np.float32], K: NDArray[np.float64]) -> NDArray[
 
 
 def evaluate_normals(
-    run: Path | str, depth: Path, camera: str | None = None, progress: Progress | None = None
+    run: Path | str, depth: Path, camera: str | None = None, progress: Progress = null_progress
 ) -> NormalResult:
     """Compare the normals of a run with those of true depth maps of the same names.
 
@@ -203,6 +203,5 @@ def evaluate_normals(
             is_right = np.abs(found.made - found.true) < _RIGHT * found.true
         normal = images[one].layers["normal"][found.part]
         evaluation.add(normal, true_normals(found.true, found.K), is_right, found.classes)
-        if progress:
-            progress("normals", done, len(truth.maps))
+        progress("normals", done, len(truth.maps))
     return evaluation.result()

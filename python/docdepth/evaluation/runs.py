@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets import open_dataset
 from docdepth.errors import DatasetError
 from docdepth.evaluation.depth import DepthEvaluation, DepthResult, Mode
@@ -40,7 +40,7 @@ Look = Callable[..., None]
 def evaluate_labels(
     run: Path | str | RunFolder,
     labels: Path,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
     look: Look | None = None,
 ) -> LabelResult:
     """Compare the classes of a run with SemanticKITTI labels.
@@ -74,8 +74,7 @@ def evaluate_labels(
         evaluation.add(truth, dynamic, ranges, _speeds(labels, record.name), _seconds(times))
         if look:
             look(record.name, record.points, classid, truth[record.index])
-        if progress:
-            progress("labels", index + 1, len(times))
+        progress("labels", index + 1, len(times))
     result = evaluation.result()
     counts = result.with_standing or result.counts
     if not counts.static + counts.dynamic:
@@ -92,7 +91,7 @@ def evaluate_tracks(
     run: Path | str | RunFolder,
     labels: Path,
     tracks: Path | Sequence[Track] | None = None,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
 ) -> TrackResult:
     """Compare the instances and tracks of a run with true ones.
 
@@ -132,8 +131,7 @@ def evaluate_tracks(
             T_true_lidar=pose,
             T_made_lidar=trajectory.poses[index],
         )
-        if progress:
-            progress("tracks", index + 1, len(trajectory))
+        progress("tracks", index + 1, len(trajectory))
     return evaluation.result()
 
 
@@ -161,7 +159,7 @@ def evaluate_depth(
     mode: Mode = "valid",
     max_range: float = 80.0,
     camera: str | None = None,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
     look: Look | None = None,
     other: Path | None = None,
 ) -> DepthResult:
@@ -206,8 +204,7 @@ def evaluate_depth(
             look(name, made, true)
         if (both := np.isfinite(made) & np.isfinite(true)).any():
             ratios.append(float(np.median(true[both] / made[both])))
-        if progress:
-            progress("depth", done, len(truth.maps))
+        progress("depth", done, len(truth.maps))
     ratio = np.median(ratios) if ratios else 1.0
     if not 1 / _OTHER_SCALE < ratio < _OTHER_SCALE:
         log.warning(

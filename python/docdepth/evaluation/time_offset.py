@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets import CameraStream
 from docdepth.diagnostics.depth_edges import pixels_of_tracks
 from docdepth.diagnostics.sweeps import spread
@@ -112,7 +112,7 @@ class TimeOffset:
 def time_offset(
     run: Path | str | RunFolder,
     camera: str | None = None,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
 ) -> TimeOffset:
     """Estimate what is to be added to the times of the images of a run.
 
@@ -145,7 +145,7 @@ def _windows(
     folder: RunFolder,
     stream: CameraStream,
     maps: dict[str, Path],
-    progress: Progress | None,
+    progress: Progress,
 ) -> list[Window]:
     """Points followed from some images, none of which are followed at the same time."""
     trajectory, times = folder.trajectory(), stream.times
@@ -172,8 +172,7 @@ def _windows(
         start, end = follow([np.asarray(image, np.uint8) for image in images], ~moving)
         depth = read_depth(maps[stream.names[first]])
         windows.append(Window(time, int(times[last]), start, end, depth))
-        if progress:
-            progress("time offset", done, len(chosen))
+        progress("time offset", done, len(chosen))
     return windows
 
 

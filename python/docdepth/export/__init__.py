@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.errors import ConfigError
 from docdepth.export.mcap import write_mcap
 from docdepth.export.occupancy import write_occupancy
 from docdepth.export.posed_images import write_colmap, write_nerfstudio
 from docdepth.pipeline.run_reader import Run, open_run
 
-EXPORTS: dict[str, Callable[[Run, Path, Progress | None], int]] = {
+EXPORTS: dict[str, Callable[[Run, Path, Progress], int]] = {
     "nerfstudio": write_nerfstudio,
     "colmap": write_colmap,
     "mcap": write_mcap,
@@ -22,7 +22,7 @@ EXPORTS: dict[str, Callable[[Run, Path, Progress | None], int]] = {
 
 
 def export(
-    run: Run | Path | str, output: Path | str, to: str, progress: Progress | None = None
+    run: Run | Path | str, output: Path | str, to: str, progress: Progress = null_progress
 ) -> int:
     """Write the photos, poses, depth, masks, points or occupancy of a run for another program.
 

@@ -25,7 +25,7 @@ _COLORS = {"vehicle": (1.0, 0.5, 0.1), "person": (0.9, 0.1, 0.3), "other": (0.6,
 _METADATA_VERSION = 9  # of the YAML file beside the MCAP file
 
 
-def write_mcap(run: Run, output: Path, progress: Progress | None = None) -> int:
+def write_mcap(run: Run, output: Path, progress: Progress = null_progress) -> int:
     """Write a bag with the sweeps and images of a run, each at its time.
 
     - ``/tf``: ``T_world_lidar`` at each sweep and image; ``/tf_static``: the cameras on the LiDAR;
@@ -60,7 +60,7 @@ def write_mcap(run: Run, output: Path, progress: Progress | None = None) -> int:
             else:
                 bag.write_points(time, run.sweeps[index])
                 bag.write_boxes(time, run.tracks.between(time, time))
-            (progress or null_progress)("convert", done, len(events))
+            progress("convert", done, len(events))
     return len(images)
 
 

@@ -16,7 +16,7 @@ from docdepth.render.occupancy import CORNER, DYNAMIC, FREE, GROUND, SIZE, STATI
 _CLASSES = {"dynamic": DYNAMIC, "ground": GROUND, "static": STATIC, "free": FREE}
 
 
-def write_occupancy(run: Run, output: Path, progress: Progress | None = None) -> int:
+def write_occupancy(run: Run, output: Path, progress: Progress = null_progress) -> int:
     """Write ``000000/labels.npz`` of each sweep, and ``occupancy.json``.
 
     The arrays are those of :class:`~docdepth.render.occupancy.Occupancy`, the masks as uint8. The
@@ -40,7 +40,7 @@ def write_occupancy(run: Run, output: Path, progress: Progress | None = None) ->
         )
         write_bytes(output / name / "labels.npz", stream.getvalue())
         frames[name] = {"time": found.time, "T_world_grid": found.T_world_grid.tolist()}
-        (progress or null_progress)("convert", k + 1, len(run.sweeps))
+        progress("convert", k + 1, len(run.sweeps))
     grid = {"voxel": VOXEL, "size": SIZE, "corner": CORNER}
     tree = {"classes": _CLASSES, "grid": grid, "frames": frames}
     write_bytes(output / "occupancy.json", json.dumps(tree, indent=1).encode())

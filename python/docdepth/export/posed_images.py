@@ -49,7 +49,7 @@ class Photo(NamedTuple):
     still: NDArray[np.bool_]
 
 
-def photos(run: Run, progress: Progress | None) -> Iterator[Photo]:
+def photos(run: Run, progress: Progress) -> Iterator[Photo]:
     """The photos of all recorded cameras of a run, read one by one."""
     recorded = [n for n, entry in run.folder.cameras.items() if entry.virtual is None]
     images = [image for name in recorded for image in run.cameras[name]]
@@ -60,7 +60,7 @@ def photos(run: Run, progress: Progress | None) -> Iterator[Photo]:
             still = ~image.moving if mask is None else ~image.moving & mask
             yield Photo(image, f"{image.of.name}/{image.name}", rgb, image.depth, still)
             count += 1
-        (progress or null_progress)("convert", done, len(images))
+        progress("convert", done, len(images))
     if not count:
         raise RunError(f"{run.path} has no photos with depth maps")
 
@@ -118,7 +118,7 @@ _UNITS = 1000.0  # a metre: nerfstudio takes depth in millimetres unless it is t
 _ROW = np.dtype([*((n, "<f8") for n in "xyz"), *((n, "u1") for n in ("red", "green", "blue"))])
 
 
-def write_nerfstudio(run: Run, output: Path, progress: Progress | None = None) -> int:
+def write_nerfstudio(run: Run, output: Path, progress: Progress = null_progress) -> int:
     """Write ``transforms.json``, ``images``, ``depth``, ``masks`` and ``points.ply``.
 
     ``ns-train depth-nerfacto --data OUT``, or splatfacto, reads it as it is.
@@ -169,7 +169,7 @@ _POINT = np.dtype(
 )
 
 
-def write_colmap(run: Run, output: Path, progress: Progress | None = None) -> int:
+def write_colmap(run: Run, output: Path, progress: Progress = null_progress) -> int:
     """Write ``sparse/0/{cameras,images,points3D}.bin``, ``images`` and ``masks``.
 
     ``colmap gui --import_path OUT/sparse/0 --image_path OUT/images`` shows it. Gaussian splatting

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import docdepth._core as _core
 from docdepth.concurrency import Progress, Timer, null_progress, prefetch, thread_count
-from docdepth.config import GroundParameters, Parameters, given
+from docdepth.config import GroundParameters, Parameters, checked_parameters
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.errors import InputError
 from docdepth.geometry.points import spread, usable_points
@@ -210,7 +210,7 @@ def grow_ground(
     InputError
         There are not as many poses as sweeps, or an array has a wrong shape or dtype.
     """
-    p = given(parameters).ground
+    p = checked_parameters(parameters).ground
     Trajectory.check(trajectory, sweeps)
     period = sweep_seconds(trajectory.times)
     usable: dict[int, NDArray[np.bool_]] = {}
@@ -220,17 +220,17 @@ def grow_ground(
         usable[index] = usable_points(points)
         return points[usable[index]]
 
-    report, labels = progress or null_progress, list[NDArray[np.bool_]]()
+    tell, labels = progress or null_progress, list[NDArray[np.bool_]]()
     for chunk in chunks(trajectory, p):
         begin, length = chunk.sweeps[0], len(chunk.sweeps)
 
         def done(share: float, begin: int = begin, length: int = length) -> None:
-            report("ground", begin + int(share * length), len(trajectory))
+            tell("ground", begin + int(share * length), len(trajectory))
 
         found = label_chunk(chunk, read, trajectory, p, threads, done)
         for index, of_usable in zip(chunk.sweeps, found, strict=True):
             rows = usable.pop(index)
             labels.append(spread(of_usable, rows, len(rows)))
         usable.clear()
-    report("ground", len(trajectory), len(trajectory))
+    tell("ground", len(trajectory), len(trajectory))
     return labels

@@ -171,7 +171,7 @@ class RunManifest(BaseModel):
     trial: str | None = None
     stages: dict[str, StageEntry] = {}
 
-    def go_on(
+    def continue_with(
         self,
         path: Path,
         inputs: RunInputs | None,

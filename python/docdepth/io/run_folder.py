@@ -113,7 +113,7 @@ class RunFolder(RecordedFolder):
             raise RunError(f"{self.path} is a file", "name a folder by `output`")
         derived = derived or DerivedInputs()
         if self.begun:
-            self.manifest.go_on(self.path, inputs, derived, parameters, force)
+            self.manifest.continue_with(self.path, inputs, derived, parameters, force)
         elif self._has_foreign_files():
             raise RunError(
                 f"{self.path} is not empty and holds no run", "name another folder by `output`"

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.geometry.se3 import inverse, se3_log
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry.places import Placed, Places, locate
@@ -73,7 +73,7 @@ def close_loops(
     sweeps: ThinnedSweeps,
     poses: NDArray[np.float64],
     drift: float,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
     kept: RegistrationLog | None = None,
 ) -> NDArray[np.float64]:
     """Correct the drift of poses where the drive comes back to streets it knows.
@@ -109,8 +109,7 @@ def close_loops(
             kept.add(found)
         if found.usable:
             edges.append(Edge(visit.earlier, visit.later, found.pose))
-        if progress is not None:
-            progress("loop closure", number + 1, len(visits))
+        progress("loop closure", number + 1, len(visits))
     closures = consistent(edges, at_nodes, arc)
     if not closures:
         return poses

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import docdepth._core as _core
-from docdepth.concurrency import Progress, thread_count
-from docdepth.config import OdometryParameters, Parameters, given
+from docdepth.concurrency import Progress, null_progress, thread_count
+from docdepth.config import OdometryParameters, Parameters, checked_parameters
 from docdepth.datasets.base import Dataset
 from docdepth.datasets.sensor_pose import LEVEL_DEG, ground_of
 from docdepth.errors import Finding, InputError, log_findings
@@ -33,7 +33,7 @@ from docdepth.odometry.clock import find_clock_steps
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.first_motion import FIRST_SWEEPS, first_motion
 from docdepth.odometry.loop_closure import close_loops
-from docdepth.odometry.parts import laid_together
+from docdepth.odometry.parts import joined_parts
 from docdepth.odometry.passes import KnownPoses, register
 from docdepth.odometry.places import KEPT_SWEEPS
 from docdepth.odometry.pose_checks import (
@@ -123,7 +123,7 @@ def register_drive(
     InputError
         ``dataset`` or ``parameters`` are of another type.
     """
-    settings = given(parameters).odometry
+    settings = checked_parameters(parameters).odometry
     if not hasattr(dataset, "sweep") or not hasattr(dataset, "times"):
         raise InputError(
             "dataset must be one from docdepth.open_dataset, or have the members of "
@@ -146,7 +146,14 @@ def register_drive(
     else:
         findings, sweeps = [], _thinned_sweeps(dataset, settings, PASSES)
         known = estimate_poses(
-            dataset, settings, progress, checkpoint, threads, PASSES, findings, sweeps
+            dataset,
+            settings,
+            progress or null_progress,
+            checkpoint,
+            threads,
+            PASSES,
+            findings,
+            sweeps,
         )
         findings += find_other_motion(sweeps, known)
     trajectory = Trajectory(dataset.times, known)
@@ -183,7 +190,7 @@ def _level_world(
 def estimate_poses(
     dataset: Dataset,
     parameters: OdometryParameters | None = None,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
     checkpoint: Path | None = None,
     threads: int = 0,
     passes: int = PASSES,
@@ -209,7 +216,7 @@ def estimate_poses(
         logs = _logs(dataset, parameters, checkpoint, part, "pass", passes)
         of_part = SweepPart(sweeps, part)
         paths.append(_registered(of_part, parameters, threads, first, logs, findings, progress))
-    poses = laid_together(sweeps, paths, findings)
+    poses = joined_parts(sweeps, paths, findings)
     if parameters.loop_closure:
         (kept,) = _logs(dataset, parameters, checkpoint, range(count), "loops")
         again = ThinnedSweeps(dataset, parameters, FINE_SAMPLING, KEPT_SWEEPS)
@@ -227,7 +234,7 @@ def _registered(
     first: RegistrationLog,
     logs: Sequence[RegistrationLog],
     findings: list[Finding],
-    progress: Progress | None,
+    progress: Progress,
 ) -> NDArray[np.float64]:
     """Poses (n, 4, 4) of a part in the frame of its first sweep, by a pass for each of ``logs``."""
     stream, count = None, len(sweeps)
@@ -241,8 +248,7 @@ def _registered(
     try:
         for k in range(count):
             poses = stream(k)
-            if progress is not None:
-                progress("register", sweeps.first + k + 1, sweeps.total)
+            progress("register", sweeps.first + k + 1, sweeps.total)
     finally:
         for log_of_pass in logs:
             log_of_pass.close()

@@ -37,7 +37,7 @@ in both directions had 0.28 and 0.32."""
 _LEAST = 2.0  # metres; by which poses may err, and a pixel of a map
 
 
-def laid_together(
+def joined_parts(
     sweeps: ThinnedSweeps, paths: Sequence[NDArray[np.float64]], findings: list[Finding]
 ) -> NDArray[np.float64]:
     """Poses of all parts in one world.
@@ -64,7 +64,7 @@ def laid_together(
         seconds = float(times[len(before)] - times[len(before) - 1]) * 1e-9
         step = _step(sweeps, begin, before, path, seconds)
         if step is None:
-            laid.append(_aside(laid, path))
+            laid.append(_placed_apart(laid, path))
             text = (
                 f"{seconds:.1f} s lie between frames {start - 1} and {start}, and they do not see "
                 f"the same place: frame {start} begins a part of its own, {APART:g} m aside"
@@ -77,7 +77,9 @@ def laid_together(
     return np.concatenate(laid)
 
 
-def _aside(laid: Sequence[NDArray[np.float64]], path: NDArray[np.float64]) -> NDArray[np.float64]:
+def _placed_apart(
+    laid: Sequence[NDArray[np.float64]], path: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Poses (n, 4, 4) of a part where it meets no other, at the height of the last."""
     aside = np.eye(4)
     aside[0, 3] = max(part[:, 0, 3].max() for part in laid) + APART - path[:, 0, 3].min()

@@ -149,8 +149,8 @@ def register(
         last, elapsed = pose, float(times[k] - times[k - 1]) / period if k else 0.0
         if known is None:
             of_motion = motion[:3, 3], elapsed, 1.0
-            guesses = _led(last, motion, possible_times(*of_motion) if k else [0.0])
-            if_unfit = _led(last, motion, times_if_lost(*of_motion) if k else [])
+            guesses = _extrapolated(last, motion, possible_times(*of_motion) if k else [0.0])
+            if_unfit = _extrapolated(last, motion, times_if_lost(*of_motion) if k else [])
         else:
             poses = known(min(k + NEIGHBORS, count - 1))
             motion = centred_motion(poses, times, [k])[0]
@@ -196,7 +196,7 @@ def _deskewed(sweeps: SweepPart, index: int, motion: NDArray[np.float64]) -> NDA
     return deskewed_points(sweeps[index], sweeps.first + index, motion)
 
 
-def _led(
+def _extrapolated(
     pose: NDArray[np.float64], motion: NDArray[np.float64], times: Sequence[float]
 ) -> list[NDArray[np.float64]]:
     """Where a motion leads from a pose in each of these times."""

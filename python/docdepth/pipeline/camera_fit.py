@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets.base import CameraStream, Dataset
 from docdepth.diagnostics.calibration import RunEdges, change_in_words, edges_of_images
 from docdepth.diagnostics.edge_fit import EdgeFit, fit_edges
@@ -44,7 +44,7 @@ def cameras_to_fit(run: RunFolder, recording: Dataset) -> list[CameraStream]:
     return found
 
 
-def fit_cameras(run: RunFolder, recording: Dataset, progress: Progress | None = None) -> bool:
+def fit_cameras(run: RunFolder, recording: Dataset, progress: Progress = null_progress) -> bool:
     """Fit cameras to their images by the depth maps of the run; run.yaml keeps the result.
 
     Returns
@@ -105,7 +105,7 @@ def stored_fit(
     )
 
 
-def _fit(run: RunFolder, stream: CameraStream, progress: Progress | None) -> CameraFit | None:
+def _fit(run: RunFolder, stream: CameraStream, progress: Progress) -> CameraFit | None:
     maps = maps_in(run.path / "depth" / run.cameras[stream.name].folder)
     drawn = [k for k, name in enumerate(stream.names) if name in maps]
     trajectory = run.trajectory()

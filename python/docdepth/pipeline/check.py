@@ -36,7 +36,7 @@ from docdepth.render.layers import check_layers
 
 
 @dataclass(frozen=True)
-class Report:
+class CheckResult:
     """What the checks found.
 
     Attributes
@@ -53,24 +53,8 @@ class Report:
 
 def check_inputs(
     inputs: RunInputs, parameters: Parameters, output: Path | None = None
-) -> list[Finding]:
-    """Find all problems of the inputs of a run.
-
-    Parameters
-    ----------
-    output : Path, optional
-        The run folder, if it is known.
-
-    Returns
-    -------
-    list of Finding
-        Errors first; empty if all is well.
-    """
-    return report_inputs(inputs, parameters, output).findings
-
-
-def report_inputs(inputs: RunInputs, parameters: Parameters, output: Path | None = None) -> Report:
-    """:func:`check_inputs` with a summary of the inputs."""
+) -> CheckResult:
+    """Find all problems of the inputs of a run; ``output`` is its folder, if it is known."""
     found: list[Finding] = []
     opened = None
     try:
@@ -80,16 +64,16 @@ def report_inputs(inputs: RunInputs, parameters: Parameters, output: Path | None
             opened = open_as_begun(inputs, DerivedInputs())
     if opened is not None:
         recording = opened.recording
-        report = check_opened(inputs, recording, opened.cameras, parameters, output)
-        if not inputs.poses or any(f.severity == "error" for f in report.findings):
-            return report
+        checked = check_opened(inputs, recording, opened.cameras, parameters, output)
+        if not inputs.poses or any(f.severity == "error" for f in checked.findings):
+            return checked
         misfit = misfit_of_poses(inputs.poses, recording, parameters)
-        return Report([*report.findings, *misfit], report.summary)
+        return CheckResult([*checked.findings, *misfit], checked.summary)
     found += _check_files_of_options(inputs)
     found += _check_parameters(parameters)
     if output is not None:
         found += _check_output(output, [], inputs.recording)
-    return Report(in_order(found), "")
+    return CheckResult(in_order(found), "")
 
 
 def misfit_of_poses(poses: str, recording: Dataset, parameters: Parameters) -> list[Finding]:
@@ -109,17 +93,10 @@ def check_opened(
     parameters: Parameters,
     output: Path | None = None,
     jobs: int = 1,
-) -> Report:
-    """:func:`report_inputs` for inputs that are open already.
+) -> CheckResult:
+    """:func:`check_inputs` for inputs that are open already.
 
-    Parameters
-    ----------
-    inputs, parameters, output
-        As for :func:`check_inputs`.
-    cameras : list of CameraStream
-        Whose depth maps are wanted.
-    jobs : int
-        Processes that will share the work.
+    ``cameras`` are those whose depth maps are wanted, ``jobs`` the processes that share the work.
     """
     found = _check_parameters(parameters)
     has_poses = bool(inputs.poses)
@@ -145,7 +122,7 @@ def check_opened(
         f"{len(recording)} sweeps of {np.median(points):.0f} points, cameras {seen}; by estimate "
         f"{gigabytes(needed.memory)} of memory and {gigabytes(needed.disk)} on disk"
     )
-    return Report(in_order(found), summary)
+    return CheckResult(in_order(found), summary)
 
 
 def _check_labels(folder: Path, recording: Dataset, sweeps: dict[int, Sweep]) -> list[Finding]:

@@ -42,7 +42,7 @@ log = logging.getLogger(__name__)
 def run_classify(
     run: RunFolder,
     threads: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
     workers: WorkerPool | None = None,
     stage: Stage | None = None,
 ) -> None:
@@ -99,11 +99,11 @@ def _classify(
     trajectory: Trajectory,
     left: list[int],
     workers: WorkerPool,
-    progress: Progress | None,
+    progress: Progress,
 ) -> None:
     """Classify the sweeps that are not classified yet."""
     run, timer, every = store.run, store.timer, range(len(trajectory))
-    parameters, report = run.parameters.dynamics, progress or null_progress
+    parameters = run.parameters.dynamics
     by_tracks = parameters.evidence == "tracks"
     finds_tracks = by_tracks and not store.tracks.is_whole()
     # Tracks are made of the evidence of all sweeps. Where they are known, few sweeps are missing.
@@ -113,7 +113,7 @@ def _classify(
         if not (by_tracks and run.key(store.evidence_file(i)) == store.key)
     ]
     kept = len(every) - len(without)
-    report("classify", kept, len(every))
+    progress("classify", kept, len(every))
 
     def map_chunks(step: _Step, sweeps: list[int], done: Callable[[int], None]) -> None:
         chunks = workers.cut(sweeps, trajectory.arc_length[sweeps])
@@ -121,7 +121,7 @@ def _classify(
         for _, counts in workers.map_frames(run, on_chunk, chunks, timer, done):
             store.counts += counts
 
-    map_chunks("votes", without, lambda done: report("classify", kept + done, len(every)))
+    map_chunks("votes", without, lambda done: progress("classify", kept + done, len(every)))
     if finds_tracks:
         with timer("tracks"):
             tracks = track_objects(
@@ -129,7 +129,7 @@ def _classify(
                 trajectory,
                 store.tracks.take,
                 workers.threads,
-                lambda done: report("track", done, len(every)),
+                lambda done: progress("track", done, len(every)),
             )
         store.tracks.write(tracks)
     if by_tracks:
@@ -142,10 +142,10 @@ def _grow_ground(
     key: dict[str, str],
     timer: Timer,
     workers: WorkerPool,
-    progress: Progress | None,
+    progress: Progress,
 ) -> None:
     """Ground labels of every frame; those of each chunk are kept in a file."""
-    report, total = progress or null_progress, len(trajectory)
+    total = len(trajectory)
     left = [
         chunk
         for chunk in chunks(trajectory, parameters_within_budget(run).ground)
@@ -157,12 +157,12 @@ def _grow_ground(
         partial(_label_ground, key),
         left,
         timer,
-        lambda done: report("ground", kept + done, total),
+        lambda done: progress("ground", kept + done, total),
         lambda chunk: len(chunk.sweeps),
     )
     for _ in grown:
         pass
-    report("ground", total, total)
+    progress("ground", total, total)
 
 
 def _label_ground(key: dict[str, str], context: ChunkContext, chunk: Chunk) -> None:
@@ -220,7 +220,7 @@ def open_labels(run: RunFolder) -> LabelFolder:
 
 
 def take_labels(
-    run: RunFolder, progress: Progress | None = None, stage: Stage | None = None
+    run: RunFolder, progress: Progress = null_progress, stage: Stage | None = None
 ) -> None:
     """Write the classes that a run was given into ``classes/`` and ``labels/``.
 
@@ -239,7 +239,6 @@ def take_labels(
         left, count, key = stage.left(), len(trajectory), stage.made_of
         if not left and stage.is_made_once():
             return
-        report = progress or null_progress
         given = open_labels(run)
         _check(given, run, left)
         with stage.working() as profile:
@@ -257,7 +256,7 @@ def take_labels(
                 with profile.timer("write"):
                     write_classified(run, index, classified, key)
                 profile.frames += 1
-                report("classify", count - len(left) + profile.frames, count)
+                progress("classify", count - len(left) + profile.frames, count)
             if not something_moves and len(left) == count:
                 log.warning(
                     "no point of %s is dynamic: what moves has the class 251 to 259 in .label "

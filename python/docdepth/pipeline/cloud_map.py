@@ -116,7 +116,7 @@ def _merged(rows: NDArray[np.void]) -> NDArray[np.void]:
     return merged
 
 
-def write_map(run: RunFolder, voxel: float = VOXEL, progress: Progress | None = None) -> Path:
+def write_map(run: RunFolder, voxel: float = VOXEL, progress: Progress = null_progress) -> Path:
     """Write ``map/map.ply`` and ``map/objects/ID_KIND.ply``.
 
     The map has what stands, in the world; each object has what was seen of it, in the frame of its
@@ -142,13 +142,12 @@ def write_map(run: RunFolder, voxel: float = VOXEL, progress: Progress | None = 
 
 
 def gather_map(
-    run: RunFolder, voxel: float = VOXEL, progress: Progress | None = None
+    run: RunFolder, voxel: float = VOXEL, progress: Progress = null_progress
 ) -> tuple[CloudMap, dict[int, VoxelCloud]]:
     """The map and the clouds of objects that :func:`write_map` writes, these by track.
 
     The arguments and errors are those of :func:`write_map`; classes may be out of date.
     """
-    report = progress or null_progress
     trajectory, tracks = run.trajectory(), tracks_in(run.path)
     world = VoxelCloud(voxel, trajectory.poses[0, :3, 3])
     objects: dict[int, VoxelCloud] = {}
@@ -168,7 +167,7 @@ def gather_map(
             T = found.T_object_lidar[number]
             cloud = objects.setdefault(of, VoxelCloud(voxel * _OF_OBJECTS, np.zeros(3)))
             cloud.add(points @ T[:3, :3].T + T[:3, 3], np.zeros(len(points), bool))
-        report("map", k + 1, len(trajectory))
+        progress("map", k + 1, len(trajectory))
     points, is_ground, counts = world.cloud()
     return CloudMap(points, np.where(is_ground, GROUND, STATIC).astype(np.uint16), counts), objects
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets import Dataset, open_dataset, usable_points
 from docdepth.errors import ConfigError, DatasetError
 from docdepth.geometry.ground_plane import level_turn
@@ -33,7 +33,7 @@ INSIDE = Path("proj_depth") / "groundtruth"
 """Where in a drive KITTI keeps its depth maps, a folder a camera."""
 
 
-def write_release(run: RunFolder, output: Path, progress: Progress | None = None) -> int:
+def write_release(run: RunFolder, output: Path, progress: Progress = null_progress) -> int:
     """Write the depth maps of all recorded cameras of a run as KITTI releases them.
 
     PNG of 16 bits, metres x 256, 0 where there is no depth.
@@ -68,8 +68,7 @@ def write_release(run: RunFolder, output: Path, progress: Progress | None = None
         )
     for done, (camera, image, path) in enumerate(maps, 1):
         write_depth(drive / INSIDE / camera / f"{image}.png", read_depth(path), "png", PNG_SCALE)
-        if progress:
-            progress("convert", done, len(maps))
+        progress("convert", done, len(maps))
     return len(maps)
 
 
@@ -82,7 +81,7 @@ def convert(
     to: str,
     dataset: str | None = None,
     camera: str | None = None,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
 ) -> int:
     """Write poses into a file, or labels or depth maps into a folder.
 
@@ -125,8 +124,7 @@ def convert(
     sweeps, trajectory, count = _sweeps(source, dataset, to)
     for k, sweep in enumerate(sweeps):
         _write_labels(output, to, sweep, trajectory, k)
-        if progress:
-            progress("convert", k + 1, count)
+        progress("convert", k + 1, count)
     return count
 
 

@@ -204,7 +204,7 @@ def within_memory(
     return parameters
 
 
-def keep_budget(run: RunFolder, within: Parameters) -> None:
+def store_memory_budget(run: RunFolder, within: Parameters) -> None:
     """Note the chunks of ground of :func:`within_memory`. They are no parameter of the run: with
     another budget it is still the same run."""
     length = within.ground.chunk_length

@@ -19,7 +19,7 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.blooming import blooming_points
 from docdepth.odometry.odometry import Odometry, register_drive
 from docdepth.odometry.pose_checks import find_misfit
-from docdepth.pipeline.plan import are_kept, odometry_stage
+from docdepth.pipeline.plan import keeps_given_poses, odometry_stage
 from docdepth.pipeline.stage import Profile, Stage
 
 log = logging.getLogger(__name__)
@@ -29,7 +29,7 @@ def run_odometry(
     run: RunFolder,
     dataset: Dataset,
     poses: NDArray[np.float64] | None = None,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
     threads: int = 0,
     stage: Stage | None = None,
 ) -> None:
@@ -66,7 +66,7 @@ def run_odometry(
                     progress,
                     checkpoint,
                     threads,
-                    are_kept(run),
+                    keeps_given_poses(run),
                 )
             profile.findings += odometry.findings
             if first.sensor_rig is not None:
@@ -96,15 +96,14 @@ def _write_frames(
     left: list[int],
     key: dict[str, str],
     profile: Profile,
-    progress: Progress | None,
+    progress: Progress,
 ) -> None:
     """Write the frames that are missing, damaged or made of something else."""
-    report = progress or null_progress
     dataset, timer = odometry.sweeps.dataset, profile.timer
     blooming_deg = run.parameters.odometry.blooming_deg
     total = len(dataset)
     for index in left:
-        report("odometry", total - len(left) + profile.frames, total)
+        progress("odometry", total - len(left) + profile.frames, total)
         with timer("deskew"):
             with suggest_skipping():
                 measured = dataset.sweep(index)
@@ -122,7 +121,7 @@ def _write_frames(
         with timer("write"):
             run.write_frame(index, frame, key)
         profile.frames += 1
-    report("odometry", total, total)
+    progress("odometry", total, total)
 
 
 def _ghost_returns(dataset: Dataset, sweep: Sweep, blooming_deg: float) -> NDArray[np.bool_]:

@@ -149,7 +149,7 @@ def odometry_stage(
         first, derived, count = first or recording.sweep(0), run.manifest.derived, len(recording)
         up, boxes = derived.up, derived.ego_boxes
         rig = first.sensor_rig
-        kept = ["as given"] if are_kept(run) else []
+        kept = ["as given"] if keeps_given_poses(run) else []
         inputs = own | {
             "sweeps": input_files.sweeps(recording),
             "times": stage_key(recording.times.tolist()),
@@ -182,7 +182,7 @@ def odometry_stage(
     )
 
 
-def are_kept(run: RunFolder) -> bool:
+def keeps_given_poses(run: RunFolder) -> bool:
     """Whether a run takes poses as they are given: by its inputs, or since it has none."""
     inputs = run.manifest.inputs
     return inputs is None or not inputs.poses or inputs.poses_as_given

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from docdepth.concurrency import Progress, Timer, null_progress
 from docdepth.datasets.base import CameraStream
-from docdepth.diagnostics.calibration import edges_of_images, judge
+from docdepth.diagnostics.calibration import check_camera_calibration, edges_of_images
 from docdepth.errors import DatasetError
 from docdepth.geometry.camera import View
 from docdepth.geometry.track import Tracks
@@ -149,7 +149,7 @@ def run_render(
     run: RunFolder,
     streams: CameraStream | Sequence[CameraStream],
     threads: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
     renderer: Renderer | None = None,
     workers: WorkerPool | None = None,
     stages: Mapping[str, Stage] | None = None,
@@ -193,7 +193,7 @@ def run_render(
         before = dict(run.manifest.stages)
         for alike in drawn_alike.values():
             plan = plan_render(run, alike, stages)
-            _render_cameras(plan, workers, progress or null_progress, renderer)
+            _render_cameras(plan, workers, progress, renderer)
             left_out += [
                 f"{name}/{image}" if len(run.cameras) > 1 else image
                 for name, images in plan.left_out.items()
@@ -271,7 +271,7 @@ def _render_cameras(
             if files.stream.images and files.parameters.render.primitive != "splats":
                 done, poses, tracks = sorted(files.coverage), plan.trajectory, plan.tracks
                 edges = edges_of_images(run.path, files.stream, done, files.depth, poses, tracks)
-                profile.more["calibration"], found = judge(edges)
+                profile.more["calibration"], found = check_camera_calibration(edges)
                 profile.add(found)
 
 

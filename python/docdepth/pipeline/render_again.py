@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.config import Settings, replaced
 from docdepth.datasets.base import Dataset
 from docdepth.errors import DocDepthError
@@ -35,7 +35,7 @@ def render_again(
     labels: Path | str | None = None,
     threads: int = 0,
     renderer: Renderer | None = None,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
 ) -> RunFolder:
     """Render with other parameters, of further cameras of the recording, or of a virtual camera.
 

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from docdepth.concurrency import null_progress
 from docdepth.config import Parameters, Settings, replaced
 from docdepth.datasets.base import Dataset
 from docdepth.errors import (
@@ -32,8 +33,8 @@ from docdepth.pipeline.check import check_inputs, check_opened, misfit_of_poses
 from docdepth.pipeline.classify import open_labels, run_classify
 from docdepth.pipeline.execution import (
     Execution,
-    keep_budget,
     parameters_within_budget,
+    store_memory_budget,
     within_memory,
 )
 from docdepth.pipeline.odometry import run_odometry
@@ -109,9 +110,9 @@ def run_stages(
     inputs = _as_begun(inputs.but(recording=opened.recording.path), folder.manifest.inputs)
     _follow_recording(folder, opened.recording)
     folder.start(inputs, values, execution.force, opened.derived)
-    choose_kept(folder, execution.keep)
+    choose_frames_kept(folder, execution.keep)
     if execution.memory is not None:
-        keep_budget(folder, within)
+        store_memory_budget(folder, within)
     add_cameras(folder, opened.cameras)
     if inputs.labels is not None:
         open_labels(folder)
@@ -173,7 +174,7 @@ def continue_run(
         raise RunError(f"{output} was not made of a recording; there is nothing to continue")
     check_place(folder)
     folder.manifest.parameters = replaced(folder.parameters, changes or {})
-    choose_kept(folder, execution.keep)
+    choose_frames_kept(folder, execution.keep)
     with _all_problems(folder.inputs, folder.parameters, folder.path):
         opened = open_as_begun(folder.inputs, folder.manifest.derived)
     folder.manifest.derived = opened.derived
@@ -187,7 +188,7 @@ def _all_problems(inputs: RunInputs, parameters: Parameters, output: Path) -> It
     try:
         yield
     except DocDepthError:
-        raise_findings(check_inputs(inputs, parameters, output))
+        raise_findings(check_inputs(inputs, parameters, output).findings)
         raise
 
 
@@ -204,16 +205,16 @@ def _check(folder: RunFolder, recording: Dataset, cameras: Sequence[RunCamera], 
     """Check all inputs of a run that has something to do; what is found is kept in run.yaml."""
     streams = [camera.stream for camera in cameras]
     values = parameters_within_budget(folder)
-    report = check_opened(folder.inputs, recording, streams, values, folder.path, jobs)
-    raise_findings(report.findings)
-    folder.manifest.warnings = [str(found) for found in report.findings]
-    folder.manifest.estimate = report.summary
-    log_findings(log, report.findings)
+    checked = check_opened(folder.inputs, recording, streams, values, folder.path, jobs)
+    raise_findings(checked.findings)
+    folder.manifest.warnings = [str(found) for found in checked.findings]
+    folder.manifest.estimate = checked.summary
+    log_findings(log, checked.findings)
 
 
 def _make(folder: RunFolder, recording: Dataset, execution: Execution) -> None:
     """Run each stage that has something to do, or check it alone."""
-    workers, progress = execution.workers(), execution.progress
+    workers, progress = execution.workers(), execution.progress or null_progress
     are_fitted = not cameras_to_fit(folder, recording)
     poses, cameras = known_poses(folder.inputs, recording), run_cameras(folder, recording)
     if execution.dry_run:
@@ -305,7 +306,7 @@ def _without_newly_broken(folder: RunFolder) -> Dataset | None:
     return opened.recording
 
 
-def choose_kept(run: RunFolder, keep: Keep | None) -> None:
+def choose_frames_kept(run: RunFolder, keep: Keep | None) -> None:
     """Note what stays once all is done; as before if it is None."""
     run.manifest.keep = keep or run.manifest.keep
     if run.manifest.keep != "results":

@@ -72,9 +72,9 @@ def run_all(
     places = _longest_first(inputs, output)
     folders = [output / place.relative_to(root) for place in places]
     pairs = list(zip(places, folders, strict=True))
-    report = execution.progress or null_progress
+    progress = execution.progress or null_progress
     ended: dict[int, RecordingResult] = {}
-    report("recordings", 0, len(places))
+    progress("recordings", 0, len(places))
     with execution.workers() as workers:
         if not workers.inline and len(places) >= workers.count:
             alone = _for_one_worker(execution, workers.threads_each(len(places)))
@@ -83,7 +83,7 @@ def run_all(
             found = enumerate(map(partial(_run_one, inputs, parameters, execution), pairs))
         for number, error in found:
             ended[number] = RecordingResult(places[number], folders[number], error)
-            report("recordings", len(ended), len(places))
+            progress("recordings", len(ended), len(places))
     return [ended[number] for number in range(len(places))]
 
 

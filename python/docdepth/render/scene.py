@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.concurrency import thread_count
-from docdepth.config import Parameters, given
+from docdepth.config import Parameters, checked_parameters
 from docdepth.datasets.base import CameraStream
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.errors import InputError
@@ -82,7 +82,7 @@ class Scene:
             count = len(labels) if hasattr(labels, "__len__") else type(labels).__name__
             raise InputError(f"{len(sweeps)} sweeps need a list of as many labels, got {count}")
         self.sweeps, self.trajectory, self.labels = sweeps, trajectory, labels
-        self.parameters = given(parameters)
+        self.parameters = checked_parameters(parameters)
         self.tracks = Tracks(getattr(labels, "tracks", ()) if tracks is None else tracks)
         self._period = sweep_seconds(trajectory.times)
         self._start()

@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.errors import DatasetError
 from docdepth.geometry.se3 import inverse
 from docdepth.io.tracks import TRACKS, write_tracks
@@ -59,7 +59,7 @@ def write_drive(
     images: bool = True,
     beam_width_deg: float = 0.0,
     blooming_deg: float = 0.0,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
     force: bool = False,
 ) -> Path:
     """Make a synthetic drive and write it to ``out/sequences/00``.
@@ -117,8 +117,7 @@ def write_drive(
         returns[k] = np.bincount(moving, minlength=returns.shape[1])
         if images and k + 1 < frames:
             _write_image(folder, drive, k)
-        if progress is not None:
-            progress("synth", k + 1, frames)
+        progress("synth", k + 1, frames)
     if images:
         camera = drive.rig.camera
         (folder / "image_2" / "times.txt").write_text(_seconds(drive.camera_times))

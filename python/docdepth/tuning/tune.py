@@ -44,7 +44,7 @@ def tune(
     out: Path,
     jobs: int = 1,
     threads: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
 ) -> list[Outcome]:
     """Make runs again with each parameter set, and score each.
 
@@ -221,13 +221,13 @@ class _Task:
             run_render(trial, [camera.stream for camera in cameras], self.threads)
 
 
-def _run_tasks(tasks: list[_Task], jobs: int, total: int, progress: Progress | None) -> None:
-    report, before = progress or null_progress, total - len(tasks)
-    report("trials", before, total)
+def _run_tasks(tasks: list[_Task], jobs: int, total: int, progress: Progress) -> None:
+    before = total - len(tasks)
+    progress("trials", before, total)
     if jobs <= 1 or len(tasks) <= 1:
         for k, task in enumerate(tasks, 1):
             task()
-            report("trials", before + k, total)
+            progress("trials", before + k, total)
         return
     # Spawned, not forked: a fork of a process with running threads can deadlock.
     with ProcessPoolExecutor(min(jobs, len(tasks)), get_context("spawn")) as pool:
@@ -235,7 +235,7 @@ def _run_tasks(tasks: list[_Task], jobs: int, total: int, progress: Progress | N
         try:
             for k, future in enumerate(as_completed(futures), 1):
                 future.result()
-                report("trials", before + k, total)
+                progress("trials", before + k, total)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise

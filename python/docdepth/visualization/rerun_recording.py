@@ -35,7 +35,7 @@ def write_rerun(
     camera: str | None = None,
     color: Coloring = "class",
     stream: CameraStream | None = None,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
 ) -> None:
     """Write a run as ``.rrd`` file: ``rerun FILE.rrd`` shows it.
 
@@ -62,7 +62,7 @@ def write_rerun(
     try:
         part.write_bytes(b"")  # rerun itself does not say why it cannot write
         recording.save(part, default_blueprint=_layout(rerun, run, stream))
-        _log_run(rerun, recording, run, camera, color, stream, progress or null_progress)
+        _log_run(rerun, recording, run, camera, color, stream, progress)
         recording.flush()
         recording.disconnect()
         os.replace(part, path)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import RunError
 from docdepth.geometry.track import Tracks
@@ -32,7 +32,7 @@ def write_video(
     folder: str = "",
     stream: CameraStream | None = None,
     fps: float | None = None,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
 ) -> Path:
     """Write the depth maps of a camera to ``report/video.webm``, in order of time.
 
@@ -80,7 +80,7 @@ def write_video(
 def write_video_from_above(
     run: RunFolder,
     fps: float | None = None,
-    progress: Progress | None = None,
+    progress: Progress = null_progress,
 ) -> Path:
     """Write the sweeps from above, with classes and tracks, to ``report/above.webm``.
 
@@ -145,7 +145,7 @@ def _write(
     times: Sequence[int] | NDArray[np.int64],
     fps: float | None,
     key: dict[str, str],
-    progress: Progress | None,
+    progress: Progress,
 ) -> Path:
     """Encode frames, one for each time [ns], to a video of a run."""
     if fps is None:
@@ -160,8 +160,7 @@ def _write(
         for done, frame in enumerate(frames):
             writer = writer or _writer(named, fps, frame)
             writer.write(frame)
-            if progress:
-                progress("video", done + 1, len(times))
+            progress("video", done + 1, len(times))
         if writer is not None:
             writer.release()
         written = cv2.VideoCapture(named) if part.is_file() else None
