@@ -84,7 +84,7 @@ BROKEN: list[tuple[str, str, Change, type, str]] = [
     ("kitti_raw", "calib_cam_to_cam.txt", swap("P_rect_02: ", "P_rect_02: nan "), C, "P_rect_02"),
     ("kitti_raw", "calib_cam_to_cam.txt", swap("P_rect_02", "P_rect_09"), C, "no camera"),
     ("kitti_raw", "calib_velo_to_cam.txt", gone, C, "missing"),
-    ("kitti_raw", "calib_velo_to_cam.txt", extrinsics(lambda T: T[[1, 0, 2]]), C, "rotation"),
+    ("kitti_raw", "calib_velo_to_cam.txt", extrinsics(lambda T: T[[1, 0, 2]]), C, "mirrors"),
     ("kitti_raw", "calib_velo_to_cam.txt", extrinsics(lambda T: T * (1, 1, 1, 1000)), C, " m "),
     ("kitti_raw", "0000000002.bin", text(""), D, "(frame 2)"),
     ("kitti_odometry", "03/times.txt", lines(0, 1, 2, 3), D, "000004.bin (frame 4)"),

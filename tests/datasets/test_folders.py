@@ -398,6 +398,10 @@ CAMERA = {"K": [9, 9, 5, 5], "size": [10, 10]}
         ({"cameras": {"a": CAMERA}}, "T_camera_lidar must be 16 numbers"),
         ({"cameras": {"a": CAMERA | {"T_camera_lidar": [2.0] * 16}}}, "T_camera_lidar must be a r"),
         ({"cameras": {"a": {"images": "gone"}}}, "a: .*gone holds no images"),
+        (
+            {"cameras": {"a": CAMERA | {"T_camera_lidar": [1.0, 0, 0, 0, 0, -1, *[0] * 4, 1, 0]}}},
+            "mirrors .determinant below 0",
+        ),
         ({"labels": "gone"}, "there is no folder .*gone of labels"),
         ({"lidars": {"a": {"sweeps": "."}}}, "sweeps and times are of one LiDAR"),
         (

@@ -251,6 +251,17 @@ def test_photos_that_claim_what_they_hold(progressive: int, noise: int) -> None:
     np.testing.assert_array_equal(found, cv2.imdecode(np.frombuffer(content, np.uint8), 0))
 
 
+@pytest.mark.parametrize("name", ["a.png", "a.tiff"])
+def test_photos_of_more_bits_than_eight(tmp_path: Path, name: str) -> None:
+    """Of 16 bits cameras fill 10 or 12: the upper eight would be black."""
+    ramp = np.arange(4096).astype(np.uint16).reshape(64, 64)
+    assert cv2.imwrite(str(tmp_path / name), ramp)
+    np.testing.assert_array_equal(read_image(tmp_path / name), (ramp >> 4)[..., None].repeat(3, 2))
+    assert cv2.imwrite(str(tmp_path / "depth.tiff"), ramp.astype(np.float32))
+    with pytest.raises(DatasetError, match=r"depth.tiff is not a readable image"):
+        read_image(tmp_path / "depth.tiff")
+
+
 def test_a_photo_on_its_side_has_the_size_of_its_pixels_as_all_programs_show_it(
     tmp_path: Path,
 ) -> None:

@@ -20,7 +20,7 @@ from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.points import ShortRepr, check_points, float_array, nanoseconds
-from docdepth.geometry.se3 import check_rigid
+from docdepth.geometry.se3 import check_rigid, if_mirrored
 
 LensModel = Literal["pinhole", "fisheye"]
 
@@ -122,13 +122,14 @@ def _times_of(whose: str, times: ArrayLike, names: Sequence[str]) -> NDArray[np.
 
 def _rigid(name: str, T: ArrayLike) -> NDArray[np.float64]:
     matrix = float_array(name, T)
+    if matrix.shape != (4, 4):
+        raise CalibrationError(f"{name} must be a 4x4 matrix; its shape is {matrix.shape}")
     try:
-        if matrix.shape != (4, 4):
-            raise InputError(f"its shape is {matrix.shape}")
         check_rigid(matrix[None])
     except InputError:
         raise CalibrationError(
-            f"{name} must be a 4x4 rotation and translation, got {matrix.tolist()}"
+            f"{name} must be a 4x4 rotation and translation{if_mirrored(matrix)}; "
+            f"got {matrix.tolist()}"
         ) from None
     return matrix
 

@@ -16,13 +16,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Generic, TypeVar
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from docdepth.errors import CalibrationError, DatasetError, DocDepthError, MissingExtraError
-from docdepth.io.images import decode_image
+from docdepth.io.images import decode_photo
 from docdepth.io.untrusted import read_file
 
 _Opened = TypeVar("_Opened")
@@ -121,12 +120,12 @@ Seconds = Annotated[float, Field(ge=0, lt=9e9, allow_inf_nan=False)]
 """As nanoseconds they fit into 64 bits."""
 
 
-def read_image(file: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[np.uint8]:
-    """An image, from a path of any bytes."""
-    image = decode_image(read_bytes(file, "copy the image again"), flags)
+def read_image(file: Path) -> NDArray[np.uint8]:
+    """An image as BGR, from a path of any bytes."""
+    image = decode_photo(read_bytes(file, "copy the image again"))
     if image is None:
         raise DatasetError(f"{file} is not a readable image; replace or remove it")
-    return np.asarray(image)
+    return image
 
 
 @dataclass(frozen=True)

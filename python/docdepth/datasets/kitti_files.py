@@ -21,9 +21,10 @@ from docdepth.datasets.files import (
     suggest_skipping,
 )
 from docdepth.errors import CalibrationError, DatasetError
-from docdepth.geometry.se3 import are_rotations, nearest_rotation, poses_from
+from docdepth.geometry.se3 import are_rotations, if_mirrored, nearest_rotation, poses_from
 
 _ROWS = packed(x="f4", y="f4", z="f4", reflectance="f4")
+_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm")
 ASKED = "the image size asked for"
 _NUMBER = re.compile(r"([0-9]+(?:\.[0-9]+)?)")
 _LEVER_ARM = 10.0  # metres between LiDAR and camera; on a lorry it is five
@@ -203,8 +204,8 @@ class Calibration:
     ) -> NDArray[np.float64]:
         if not are_rotations(rotation[None])[0]:
             raise CalibrationError(
-                f"{self.file}: '{names}:' holds no rotation: its rows must have length 1 and be "
-                "orthogonal and right-handed; restore the file"
+                f"{self.file}: '{names}:' holds no rotation{if_mirrored(rotation)}; its rows must "
+                "have length 1 and be orthogonal and right-handed; restore the file"
             )
         if (distance := float(np.linalg.norm(translation))) > _LEVER_ARM:
             raise CalibrationError(
@@ -228,7 +229,7 @@ def camera_offset(P: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def image_files(folder: Path) -> list[Path]:
     """Images of a folder in the order of :func:`in_order`; none if there is no such folder."""
-    return in_order(f for f in folder.glob("*") if f.suffix.lower() in (".png", ".jpg", ".jpeg"))
+    return in_order(f for f in folder.glob("*") if f.suffix.lower() in _IMAGES)
 
 
 def image_size(files: Sequence[Path]) -> tuple[int, int] | None:

@@ -27,7 +27,7 @@ from docdepth.datasets.files import FILE, is_there, read_image, read_lines, sett
 from docdepth.datasets.point_times import Instant, Unit
 from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.geometry.camera import Camera, camera_of
-from docdepth.geometry.se3 import check_rigid, nearest_rigid
+from docdepth.geometry.se3 import check_rigid, if_mirrored, nearest_rigid
 from docdepth.io.poses import read_poses_at
 from docdepth.io.untrusted import parse_yaml
 
@@ -252,7 +252,7 @@ def camera_mask(camera: Camera, mask: Mask) -> NDArray[np.bool_]:
     COLMAP and nerfstudio take it; or the corners of a polygon around such pixels.
     """
     if isinstance(mask, Path):
-        seen = read_image(mask, cv2.IMREAD_GRAYSCALE) > 0
+        seen = read_image(mask).any(axis=2)
         if seen.shape != (camera.height, camera.width) or not seen.any():
             raise CalibrationError(
                 f"{mask} has {seen.shape[1]}x{seen.shape[0]} pixels, {int(seen.sum())} of them not "
@@ -277,7 +277,7 @@ def transform(numbers: list[float] | None, where: str) -> NDArray[np.float64]:
         check_rigid(T[None])
     except InputError:
         raise CalibrationError(
-            f"{where} must be a rotation and a translation in metres; got {numbers}"
+            f"{where} must be a rotation and a translation in metres{if_mirrored(T)}; got {numbers}"
         ) from None
     if np.linalg.norm(T[:3, 3]) > _MOST_METRES:
         raise CalibrationError(f"{where} moves by more than {_MOST_METRES:g} m; is it in metres?")

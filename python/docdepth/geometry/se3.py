@@ -25,16 +25,10 @@ def check_rigid(poses: NDArray[np.float64]) -> None:
     affine = (poses[:, 3] == (0, 0, 0, 1)).all(axis=1)
     bad = np.flatnonzero(~(finite & affine & are_rotations(poses[:, :3, :3])))
     if len(bad):
-        first = poses[bad[0]]
-        mirrored = np.isfinite(first).all() and np.linalg.det(first[:3, :3]) < 0
         raise InputError(
             f"the pose of frame {bad[0]} is not a rotation and a translation"
-            + (
-                ", but a mirror image (determinant below 0): its frame is left-handed"
-                if mirrored
-                else ""
-            )
-            + "; poses are 4x4 matrices T_world_lidar with finite entries"
+            f"{if_mirrored(poses[bad[0]])}; poses are 4x4 matrices T_world_lidar with finite "
+            "entries"
         )
     far = np.flatnonzero((np.abs(poses[:, :3, 3]) >= _FARTHEST).any(axis=1))
     if len(far):
@@ -42,6 +36,12 @@ def check_rigid(poses: NDArray[np.float64]) -> None:
         raise InputError(
             f"the pose of frame {far[0]} lies {away:,.0f} km from the origin; poses are in metres"
         )
+
+
+def if_mirrored(matrix: NDArray[np.float64]) -> str:
+    """What an error adds of a matrix, shape (3 or 4, 3 or 4), that turns right hands into left."""
+    mirrors = np.isfinite(matrix).all() and np.linalg.det(matrix[:3, :3]) < 0
+    return ", but mirrors (determinant below 0): a frame is left-handed" if mirrors else ""
 
 
 def are_rotations(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:

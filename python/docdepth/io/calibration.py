@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import CalibrationError, InputError
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.se3 import check_rigid
+from docdepth.geometry.se3 import check_rigid, if_mirrored
 from docdepth.io.atomic import WriteFile, write_atomically
 from docdepth.io.untrusted import parse_json, read_text
 
@@ -166,6 +166,6 @@ def _rigid(T: NDArray[np.float64], file: Path, remedy: str) -> NDArray[np.float6
         check_rigid(T[None])
     except InputError:
         raise CalibrationError(
-            f"{file} must hold a rotation and a translation in metres; {remedy}"
+            f"{file} must hold a rotation and a translation in metres{if_mirrored(T)}; {remedy}"
         ) from None
     return T

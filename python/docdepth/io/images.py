@@ -45,6 +45,23 @@ def decode_image(content: bytes | NDArray[np.uint8], flags: int) -> NDArray[Any]
     return None if image is None else np.asarray(image)
 
 
+def decode_photo(content: bytes | NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+    """The image in the content of a file as BGR, also of a camera of more bits than eight.
+
+    None if OpenCV does not read it, or if it holds numbers other than brightness.
+    """
+    image = decode_image(content, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    if image is not None and image.dtype == np.uint16:
+        return upper_bits(image)
+    return image if image is not None and image.dtype == np.uint8 else None
+
+
+def upper_bits(values: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """The upper 8 of the bits that an image uses: many cameras fill 10, 12 or 14 of 16."""
+    unused = max(int(values.max()).bit_length() - 8, 0)
+    return (values >> unused).astype(np.uint8)
+
+
 def _claims_too_much(data: NDArray[np.uint8]) -> bool:
     """Whether a PNG or JPEG tells of more pixels, or of longer chunks, than its bytes can hold.
 

@@ -6,7 +6,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,8 +14,8 @@ from docdepth.datasets.files import StoredImage
 from docdepth.datasets.formats.parquet_rows import ParquetRows
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.se3 import inverse, nearest_rigid, poses_from
-from docdepth.io.images import decode_image
+from docdepth.geometry.se3 import if_mirrored, inverse, nearest_rigid, poses_from
+from docdepth.io.images import decode_photo
 
 CAMERAS = {1: "FRONT", 2: "FRONT_LEFT", 3: "FRONT_RIGHT", 4: "SIDE_LEFT", 5: "SIDE_RIGHT"}
 FRONT = 1
@@ -39,7 +38,7 @@ def pose_of_row(numbers: Any, where: str) -> NDArray[np.float64]:
     T = values.reshape(4, 4)
     rigid = nearest_rigid(T)
     if np.abs(rigid - T).max() > 1e-3:
-        raise DatasetError(f"{where} is no rotation and translation; {REMEDY}")
+        raise DatasetError(f"{where} is no rotation and translation{if_mirrored(T)}; {REMEDY}")
     return np.asarray(rigid)
 
 
@@ -50,7 +49,7 @@ def nanoseconds(seconds: Any) -> int:
 
 def _read_image(rows: ParquetRows, key: tuple[int, int], where: str) -> NDArray[np.uint8]:
     (content,) = rows.read(key, (_IMAGE,), where)
-    image = decode_image(np.frombuffer(content.as_py() or b"", np.uint8), cv2.IMREAD_COLOR)
+    image = decode_photo(content.as_py() or b"")
     if image is None:
         raise DatasetError(f"{where} is no image; {REMEDY}")
     return np.asarray(image, np.uint8)

@@ -13,7 +13,7 @@ from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.camera import camera_of as named_camera
 from docdepth.geometry.se3 import are_rotations
-from docdepth.io.images import decode_image as decode_content
+from docdepth.io.images import decode_photo, upper_bits
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
@@ -69,14 +69,13 @@ def _of_eight_bits(encoding: str) -> str:
 def decode_image(message: Any, where: str) -> NDArray[np.uint8]:
     """The image of a message as BGR."""
     if message.__msgtype__ == IMAGES[1]:
-        data = np.asarray(message.data, np.uint8)
-        image = decode_content(data, cv2.IMREAD_COLOR)
+        image = decode_photo(np.asarray(message.data, np.uint8))
         if image is None:
             raise DatasetError(
                 f"{where} is not a readable image ({message.format}); record JPEG, PNG or raw "
                 "images, not a video"
             )
-        return np.asarray(image, np.uint8)
+        return image
     name = _of_eight_bits(message.encoding)
     if name not in _ENCODINGS:
         raise DatasetError(
@@ -92,15 +91,9 @@ def decode_image(message: Any, where: str) -> NDArray[np.uint8]:
         raise DatasetError(f"{where} has {len(data)} bytes for {width} x {height} pixels")
     lines = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, : width * line])
     if name != message.encoding:
-        lines = _upper_bits(lines.view(">u2" if message.is_bigendian else "<u2"))
+        lines = upper_bits(lines.view(">u2" if message.is_bigendian else "<u2"))
     image = lines.reshape(height, width, channels)
     return image if conversion is None else np.asarray(cv2.cvtColor(image, conversion), np.uint8)
-
-
-def _upper_bits(values: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """The upper 8 of the bits that an image uses: many cameras fill 10, 12 or 14 of 16."""
-    unused = max(int(values.max()).bit_length() - 8, 0)
-    return (values >> unused).astype(np.uint8)
 
 
 def size_of(message: Any, where: str) -> tuple[int, int] | None:
