@@ -183,17 +183,21 @@ const float* as_depth(const Array<float>& depth, int width, int height) {
   return depth.data();
 }
 
-py::array_t<float> fitted_normals(const Array<double>& K, int width, int height,
-                                  const Array<float>& depth, const Array<float>& normals,
-                                  int threads) {
+std::pair<py::array_t<float>, py::array_t<float>> fitted_normals(const Array<double>& K, int width,
+                                                                 int height,
+                                                                 const Array<float>& depth,
+                                                                 const Array<float>& normals,
+                                                                 int threads) {
   const Camera camera = as_camera(K, width, height);
   const float* z = as_depth(depth, width, height);
   if (normals.ndim() != 3 || normals.shape(0) != height || normals.shape(1) != width ||
       normals.shape(2) != 3)
     throw std::invalid_argument("normals must have shape (height, width, 3)");
   std::vector<float> fitted(normals.data(), normals.data() + normals.size());
-  without_gil([&] { fit_normals(camera, z, fitted.data(), threads); });
-  return to_numpy(std::move(fitted), {height, width, 3});
+  std::vector<float> leans =
+      without_gil([&] { return fit_normals(camera, z, fitted.data(), threads); });
+  return {to_numpy(std::move(fitted), {height, width, 3}),
+          to_numpy(std::move(leans), {height, width})};
 }
 
 py::dict splat_layers(const Array<double>& K, int width, int height,

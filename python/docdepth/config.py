@@ -17,7 +17,16 @@ from docdepth._text import check_key_frames, explain
 from docdepth.errors import ConfigError, InputError
 
 Layer = Literal[
-    "class", "instance", "time", "range", "support", "std", "normal", "confidence", "seen"
+    "class",
+    "instance",
+    "time",
+    "range",
+    "support",
+    "std",
+    "normal",
+    "normal_confidence",
+    "confidence",
+    "seen",
 ]
 DepthFormat = Literal["png", "exr-half", "exr", "tiff", "npz", "npy"]
 

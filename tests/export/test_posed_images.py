@@ -61,6 +61,31 @@ def test_nerfstudio_finds_the_same_points(images: RunImages, scene: Path) -> Non
         assert (frame["h"], frame["w"]) == depth.shape
 
 
+@pytest.mark.filterwarnings("ignore")  # of its many libraries
+def test_nerfstudios_own_parser_finds_the_same_points(images: RunImages, scene: Path) -> None:
+    dataparsers = pytest.importorskip("nerfstudio.data.dataparsers.nerfstudio_dataparser")
+    read_depth = pytest.importorskip("nerfstudio.data.utils.data_utils").get_depth_image_from_path
+    config = dataparsers.NerfstudioDataParserConfig(
+        data=scene, orientation_method="none", center_method="none", auto_scale_poses=False,
+        eval_mode="all", load_3D_points=True,
+    )  # fmt: skip
+    found = config.setup().get_dataparser_outputs("train")
+    assert np.allclose(found.metadata["points3D_xyz"], images.run.static_map().points, atol=1e-4)
+    by_name = {path.stem: k for k, path in enumerate(found.image_filenames)}
+    assert len(by_name) == len(images)
+    for image in images:
+        k = by_name[image.name]
+        assert np.array_equal(cv2.imread(str(found.mask_filenames[k]), 0) == 0, image.moving)
+        size, scale = image.depth.shape, found.metadata["depth_unit_scale_factor"]
+        depth = read_depth(found.metadata["depth_filenames"][k], *size, scale).numpy()[..., 0]
+        assert np.allclose(depth, np.nan_to_num(image.depth), atol=1e-4)
+        rays = found.cameras.generate_rays(camera_indices=k)
+        (rows, columns), points = hundred(image)
+        along = depth[..., None] * rays.metadata["directions_norm"].numpy()
+        places = rays.origins.numpy() + along * rays.directions.numpy()
+        assert np.allclose(places[rows, columns], points, atol=1e-3)
+
+
 def test_up_of_nerfstudio_is_up_in_the_world(scene: Path) -> None:
     for frame in json.loads((scene / "transforms.json").read_text())["frames"]:
         T = np.array(frame["transform_matrix"])

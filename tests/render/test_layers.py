@@ -26,7 +26,9 @@ from docdepth.render.layers import _CONFIDENCE, LAYERS, confidence
 from docdepth.render.selection import static_sweeps
 from lidar_rays import scan_rays
 
-OF_SPLATS = tuple(name for name in LAYERS if name not in ("normal", "instance", "seen"))
+OF_SPLATS = tuple(
+    name for name in LAYERS if name not in ("normal", "normal_confidence", "instance", "seen")
+)
 GROUND, WALL = -1.7, 25.0
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 import docdepth._core as _core
+from docdepth.render.layers import normal_confidence
 
 K = np.array([[300.0, 0, 120], [0, 300, 80], [0, 0, 1]])
 WIDTH, HEIGHT, NOISE, FACET = 240, 160, 0.015, 4
@@ -26,9 +28,15 @@ def view() -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.float64]]
     return (depth + noise / np.linalg.norm(rays, axis=-1)).astype(np.float32), which, rays
 
 
-def fitted(depth: NDArray[np.float32], threads: int = 1) -> NDArray[np.float32]:
+def fitted_with_lean(
+    depth: NDArray[np.float32], threads: int = 1
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     facets = np.broadcast_to(STAYS, (*depth.shape, 3)).copy()
-    return np.asarray(_core.fit_normals(K, WIDTH, HEIGHT, depth, facets, threads))
+    return _core.fit_normals(K, WIDTH, HEIGHT, depth, facets, threads)
+
+
+def fitted(depth: NDArray[np.float32], threads: int = 1) -> NDArray[np.float32]:
+    return fitted_with_lean(depth, threads)[0]
 
 
 def test_planes_are_found_up_to_their_creases() -> None:
@@ -46,7 +54,7 @@ def test_the_largest_flat_window_is_fitted_by_least_squares() -> None:
     depth, _, rays = view()
     half = round(0.022 * K[0, 0])
     v, u = 30, 150  # far from any crease
-    found = fitted(depth)[v, u]
+    normals, leans = fitted_with_lean(depth)
     near = []
     for dv in (-half, 0, half):
         for du in (-half, 0, half):
@@ -56,15 +64,22 @@ def test_the_largest_flat_window_is_fitted_by_least_squares() -> None:
             normal = np.linalg.lstsq(A, b, rcond=None)[0]
             deviation = np.sqrt(np.mean((A @ normal - b) ** 2)) / b.mean() / np.linalg.norm(normal)
             near.append((deviation, -normal / np.linalg.norm(normal)))
-    assert np.allclose(found, min(near, key=lambda one: one[0])[1], atol=1e-4)
+    deviation, normal = min(near, key=lambda one: one[0])
+    assert np.allclose(normals[v, u], normal, atol=1e-4)
+    assert leans[v, u] == pytest.approx(deviation / (depth[v, u] * half / K[0, 0]), rel=0.01)
 
 
 def test_what_is_not_flat_or_has_no_depth_stays() -> None:
     depth, _, _ = view()
     depth[:, :100] += np.random.default_rng(1).normal(0, 0.5, (HEIGHT, 100)).astype(np.float32)
     depth[:, 100:140] = np.nan
-    found = fitted(depth)
+    found, leans = fitted_with_lean(depth)
     stays = (found == STAYS).all(axis=-1)
     assert stays[:, :95].mean() > 0.99
     assert stays[:, 100:140].all()
     assert stays[:, 150:].mean() < 0.01
+    assert np.array_equal(np.isinf(leans), stays)
+    confidence = normal_confidence(depth, leans)
+    assert np.isnan(confidence[:, 100:140]).all()
+    assert np.median(confidence[:, :95]) < 0.2
+    assert np.median(confidence[:, 150:]) > 0.6

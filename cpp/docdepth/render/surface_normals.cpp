@@ -72,10 +72,11 @@ class Sums {
 
 }  // namespace
 
-void fit_normals(const Camera& camera, const float* depth, float* normal, int threads) {
+std::vector<float> fit_normals(const Camera& camera, const float* depth, float* normal,
+                               int threads) {
   const Sums sums(camera, depth);
   const std::size_t pixels = std::size_t(camera.width) * std::size_t(camera.height);
-  std::vector<std::uint8_t> done(pixels, 0);
+  std::vector<float> leans(pixels, std::numeric_limits<float>::infinity());
   std::vector<Plane> planes(pixels);
   for (int half = std::max(int(std::lround(kReach * camera.fx)), kSmallest); half >= kSmallest;
        half /= 2) {
@@ -89,7 +90,7 @@ void fit_normals(const Camera& camera, const float* depth, float* normal, int th
     };
     for_each_pixel([&](int u, int v, std::size_t i) { planes[i] = sums.plane_around(u, v, half); });
     for_each_pixel([&](int u, int v, std::size_t i) {
-      if (done[i] || !(depth[i] > 0)) return;
+      if (std::isfinite(leans[i]) || !(depth[i] > 0)) return;
       const Eigen::Vector3f place = depth[i] * ray_of(camera, float(u), float(v));
       const Plane* best = nullptr;
       for (const int dv : {0, -half, half})
@@ -104,9 +105,10 @@ void fit_normals(const Camera& camera, const float* depth, float* normal, int th
         }
       if (!best) return;
       Eigen::Map<Eigen::Vector3f>(normal + 3 * i) = -best->normal.normalized();
-      done[i] = 1;
+      leans[i] = best->deviation / (float(half) / float(camera.fx) * depth[i]);
     });
   }
+  return leans;
 }
 
 }  // namespace docdepth

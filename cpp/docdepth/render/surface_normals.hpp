@@ -1,6 +1,8 @@
 // Normals of the surface that a depth map shows.
 #pragma once
 
+#include <vector>
+
 #include "docdepth/render/camera.hpp"
 
 namespace docdepth {
@@ -13,6 +15,9 @@ namespace docdepth {
 /// it. Where no window is flat, as on leaves, the normal stays.
 /// @param depth   [m], row after row; NaN or 0 where there is none
 /// @param normal  x y z for each pixel, towards the camera
-void fit_normals(const Camera& camera, const float* depth, float* normal, int threads);
+/// @return for each pixel how much its plane may lean [rad]: the deviation of the surface from it
+///     over half the width of the window; infinite where no window is flat
+std::vector<float> fit_normals(const Camera& camera, const float* depth, float* normal,
+                               int threads);
 
 }  // namespace docdepth

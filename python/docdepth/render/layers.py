@@ -19,6 +19,9 @@
     Triangles only
 ``confidence``
     float32, 0..1: probability that the depth is less than 5 % off, see :func:`confidence`
+``normal_confidence``
+    float32, 0..1: probability that the normal is less than 11.25 degrees off, see
+    :func:`normal_confidence`. Triangles only
 ``seen``
     uint8: what rays within 0.1 s of the image say of the depth: 0 did not look there, 1 agree,
     2 contradict; 255 where there is no depth. Triangles only
@@ -47,6 +50,7 @@ NOT_LOOKED_AT, AGREED, CONTRADICTED = 0, 1, 2
 
 TRIANGLES_ONLY = {
     "normal": "splats face the camera and have no normal",
+    "normal_confidence": "splats face the camera and have no normal",
     "instance": "splats are not followed along tracks and have no instance",
     "seen": "splats are no rays and tell nothing of what was seen",
 }
@@ -55,6 +59,10 @@ TRIANGLES_ONLY = {
 _CONFIDENCE = {"triangles": (4.94, 0.51, 1.83, 1.65, 3.22), "splats": (3.9, 1.0, 2.7, 0.0, 0.0)}
 """Weights a to e of :func:`confidence` [-], fitted to the exact depth of synthetic drives; those of
 triangles by five LiDARs whose beams have their width."""
+
+_NORMAL_CONFIDENCE, _LEAST_LEAN = (-3.99, 1.64, 0.13), 1e-4
+"""Weights a and b of :func:`normal_confidence`, and that of a facet [-], fitted to four LiDARs; and
+how much a plane may lean at least [rad]."""
 
 
 def compose_layers(
@@ -102,8 +110,9 @@ def compose_layers(
             *image, drawn.static, drawn.objects, drawn.visibility,
             depth, threads, drawn.around, seen,
         )  # fmt: skip
-    if "normal" in names:
-        found["normal"] = _core.fit_normals(*image, depth, found["normal"], threads)
+    if "normal" in names or "normal_confidence" in names:
+        found["normal"], lean = _core.fit_normals(*image, depth, found["normal"], threads)
+        found["normal_confidence"] = normal_confidence(depth, lean)
     part = found["sweep"]
     found["time"] = np.where(part < 0, np.nan, drawn.delays[part]).astype(np.float32)
     if "confidence" in names:
@@ -175,6 +184,34 @@ def confidence(
     largest = cv2.dilate(_relative_curvature(depth), np.ones((7, 7), np.uint8))
     edge = np.log10(np.clip(largest, 1e-3, 1)) / 3 + 1
     probability = 1 / (1 + np.exp(-(a + b * log_odds - c * edge - doubt)))
+    return np.where(np.isnan(depth), np.nan, probability).astype(np.float32)
+
+
+def normal_confidence(depth: NDArray[np.float32], lean: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Probability that the normal of each pixel is less than 11.25 degrees off.
+
+    A logistic regression, fitted to the exact surfaces of synthetic drives::
+
+        confidence = 1 / (1 + exp(-(a - b ln(lean))))
+
+    where a plane is fitted; a constant where nothing is flat and the normal is that of a facet.
+
+    Parameters
+    ----------
+    depth : ndarray of float32, shape (h, w)
+        Metres, NaN = none.
+    lean : ndarray of float32, shape (h, w)
+        How far the surface leaves its plane, over half the width of the plane [rad]; infinite where
+        nothing is flat.
+
+    Returns
+    -------
+    ndarray of float32, shape (h, w)
+        NaN where there is no depth.
+    """
+    a, b, facet = _NORMAL_CONFIDENCE
+    log_odds = a - b * np.log(np.maximum(lean, _LEAST_LEAN))
+    probability = np.where(np.isinf(lean), facet, 1 / (1 + np.exp(-log_odds)))
     return np.where(np.isnan(depth), np.nan, probability).astype(np.float32)
 
 
