@@ -1,4 +1,7 @@
-"""What parallel work shares: threads, bounded queues, progress and times."""
+"""What parallel work shares: threads, bounded queues, progress and times.
+
+Wherever a function takes ``threads``, 0 is all cores, and its result does not depend on them.
+"""
 
 from __future__ import annotations
 

@@ -120,8 +120,6 @@ def calibrate(
         Estimated from the same images if left out.
     model : {"pinhole", "fisheye"}
         Of the lens, if it is estimated.
-    progress : callable, optional
-        ``progress(stage, done, total)``.
     """
     observations, start, not_used = find(board, pairs, size, lens, model, progress)
     count, free_lens = len(observations), lens is None

@@ -78,11 +78,6 @@ def find_boards(
 ) -> tuple[list[Observation], Floats, dict[str, str]]:
     """Find the board in all sweeps.
 
-    Parameters
-    ----------
-    progress : callable, optional
-        ``progress("sweeps", searched, all)``.
-
     Returns
     -------
     T_lidar_camera : ndarray of float64, shape (4, 4)

@@ -47,8 +47,6 @@ def board_pairs(
     boxes : dict of ndarray, shape (3, 2), optional
         Least and greatest x, y and z of the board in the LiDAR frame [m], by name of the image; of
         all images under "".
-    progress : callable, optional
-        ``progress("images", done, total)``.
 
     Returns
     -------

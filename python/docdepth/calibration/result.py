@@ -74,8 +74,6 @@ def write_result(
         Of the camera.
     pairs : sequence of BoardPair
         With their images.
-    progress : callable, optional
-        ``progress("pictures", done, total)``.
 
     Raises
     ------

@@ -228,8 +228,6 @@ def edges_of_images(
         LiDAR poses.
     tracks : Tracks
         Moving objects.
-    progress : callable, optional
-        Called with ``"camera"``, the images done and their number.
     most : int
         Images that are compared.
     """

@@ -83,8 +83,6 @@ def find_error_sources(
     ----------
     run : Path, str or RunFolder
         With classified sweeps.
-    progress : callable, optional
-        Called with ``"poses and times"``, the sweeps done and their number.
     """
     folder = RunFolder.open(run)
     trajectory = folder.trajectory()

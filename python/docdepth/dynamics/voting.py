@@ -144,8 +144,6 @@ def vote(
         In order of time.
     poses : ndarray of float64, shape (k, 4, 4)
         ``T_world_lidar`` of each key frame.
-    threads : int
-        0 for all cores. The votes do not depend on it.
     seconds : ndarray of float64, shape (k,), optional
         How long after the sweep each key frame was measured; negative before it. Absent if that is
         not known; then no place is porous.

@@ -89,8 +89,6 @@ def camera_error(
         Its name; needed if the run has several.
     max_depth : float
         Pixels with a larger depth are not compared [m].
-    progress : callable, optional
-        Called with ``"camera"``, the images done and their number.
 
     Returns
     -------
@@ -177,8 +175,6 @@ def fit_calibration(
         With depth maps, and images in its recording.
     camera : str, optional
         Its name; needed if the run has several.
-    progress : callable, optional
-        Called with ``"camera"``, the images done and their number.
     """
     found = edges_of_run(run, camera, progress, FITTED_IMAGES)
     check, stream = compare(found), found.stream

@@ -167,10 +167,6 @@ def evaluate_held_out(
         Returns at a larger depth are not compared [m].
     camera : str, optional
         Gives the camera matrix, image size and viewing direction; needed if the run has several.
-    threads : int
-        0 uses all cores. The result does not depend on it.
-    progress : callable, optional
-        Called with ``"held out"``, the sweeps done and their number.
     left_out : LeftOut, optional
         Beams of the sweep, or a LiDAR of the rig in all sweeps; the whole sweep if left out.
     look : callable, optional

@@ -183,8 +183,6 @@ def evaluate_normals(
         As for :func:`~docdepth.evaluation.runs.evaluate_depth`, exact and dense.
     camera : str, optional
         Needed if the run has several.
-    progress : callable, optional
-        Called with ``"normals"``, the images done and their number.
     """
     opened = Run(run)
     subfolder = opened.folder.depth_folder(camera)

@@ -151,8 +151,6 @@ def nearest_neighbors(
     ----------
     points, queries : ndarray of float, shape (N, 3) and (M, 3)
         In the same frame [m], finite.
-    threads : int
-        0 uses all cores. The result does not depend on it.
 
     Returns
     -------

@@ -54,8 +54,6 @@ def evaluate_labels(
     labels : Path
         Folder of ``NAME.label`` files, or its parent with a folder ``labels``. A folder ``speeds``
         beside it (``NAME.npy``, speed of each point in m/s) separates standing from moving objects.
-    progress : callable, optional
-        Called with ``"labels"``, the sweeps done and their number.
     look : callable, optional
         Called for each sweep as :meth:`docdepth.evaluation.error_page.LabelPage.look`.
     """
@@ -105,8 +103,6 @@ def evaluate_tracks(
     tracks : Path or sequence of Track, optional
         True tracks; ``tracks.csv`` beside the folder of labels if left out. Without such a file
         boxes are not compared.
-    progress : callable, optional
-        Called with ``"tracks"``, the sweeps done and their number.
     """
     folder = RunFolder.open(run)
     require(folder, "classify")
@@ -180,8 +176,6 @@ def evaluate_depth(
         Pixels with a larger true depth are not compared [m].
     camera : str, optional
         Name of the camera; needed if the run has several.
-    progress : callable, optional
-        Called with ``"depth"``, the depth maps done and their number.
     look : callable, optional
         Called for each image as :meth:`docdepth.evaluation.error_page.DepthPage.look`.
     other : Path, optional

@@ -122,8 +122,6 @@ def time_offset(
         With depth maps, and images in its recording.
     camera : str, optional
         Its name; needed if the run has several.
-    progress : callable, optional
-        Called with ``"time offset"``, the windows done and their number.
     """
     folder = RunFolder.open(run)
     stream, maps = images_and_maps(folder, camera, "follow points in")

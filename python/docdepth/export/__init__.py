@@ -32,8 +32,6 @@ def export(
         A new folder.
     to : str
         One of :data:`EXPORTS`.
-    progress : callable, optional
-        Called with the step, what is done and how much there is.
 
     Returns
     -------

@@ -84,8 +84,6 @@ def close_loops(
         ``T_world_lidar`` of odometry, which moved and turned little at any sweep.
     drift : float
         How far off a pose may be, as a share of the path since the earlier visit.
-    progress : callable, optional
-        Called with ``"loop closure"``, the places done and their number.
     kept : RegistrationLog, optional
         What an interrupted search found is taken from there, and what is found is added.
 

@@ -194,8 +194,6 @@ class Registration:
         Edge of a voxel in which a sweep keeps one point [m]; None where sweeps are thin enough.
     neighbors : int
         Points from which the normal of a point is taken.
-    threads : int
-        The result does not depend on them.
     """
 
     def __init__(

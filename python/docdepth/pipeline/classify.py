@@ -52,11 +52,6 @@ def run_classify(
     ----------
     run : RunFolder
         Its odometry is done.
-    threads : int
-        0 for all cores.
-    progress : callable, optional
-        Called with the step (``ground``, ``classify``, ``track``), the frames done and their
-        number.
     workers : WorkerPool, optional
         Who does the work; this process with its threads if absent.
     stage : Stage, optional

@@ -128,8 +128,6 @@ def write_map(run: RunFolder, voxel: float = VOXEL, progress: Progress = null_pr
         With classified frames.
     voxel : float
         Side of a voxel of the map [m]; those of objects are half as large.
-    progress : callable, optional
-        Called with "map", the number of sweeps done and of all sweeps.
 
     Returns
     -------

@@ -44,8 +44,6 @@ def write_release(run: RunFolder, output: Path, progress: Progress = null_progre
         With depth maps that are up to date.
     output : Path
         Folder of the release; the drive is a folder in it and must not be there.
-    progress : callable, optional
-        Called with the step, the maps done and their number.
 
     Returns
     -------
@@ -98,8 +96,6 @@ def convert(
         Format of the recording; guessed if absent.
     camera : str, optional
         Poses of this camera, as KITTI has them, in place of those of the LiDAR.
-    progress : callable, optional
-        Called with the step, the sweeps done and their number.
 
     Returns
     -------

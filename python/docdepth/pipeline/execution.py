@@ -152,8 +152,6 @@ def memory_of_run(
     ----------
     points : int
         Of the largest sweep.
-    jobs : int
-        Processes that share the work.
     """
     sizes = [stream.camera.width * stream.camera.height for stream in cameras]
     votes = _VOTES + _VOTES_PER_POINT * points
@@ -183,8 +181,6 @@ def within_memory(
     ----------
     budget : str
         ``4G``, ``800M``, or a number of bytes.
-    jobs : int
-        Processes that share the work.
     """
     count, memory = len(recording), bytes_of(budget)
     some = np.linspace(0, count - 1, min(count, _SAMPLES)).astype(int)
@@ -258,8 +254,6 @@ def estimate(
         Of some sweeps.
     sweeps : int
         All.
-    jobs : int
-        Processes that share the work.
     """
     output = parameters.output
     pixel = sum(_FORMAT_BYTES.get(format, 4.0) for format in output.format) + _PICTURE_BYTES

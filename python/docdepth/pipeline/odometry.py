@@ -39,8 +39,6 @@ def run_odometry(
     ----------
     poses : ndarray of float64, shape (n, 4, 4), optional
         ``T_world_lidar`` of another SLAM; estimated when left out.
-    threads : int
-        0 for all cores.
     stage : Stage, optional
         :func:`~.plan.odometry_stage` of these arguments.
     """

@@ -164,10 +164,6 @@ def run_render(
         With classified frames.
     streams : CameraStream or sequence of CameraStream
         The cameras. The run's first camera has ``depth/`` itself, any other a folder in it.
-    threads : int
-        0 takes all cores. The result does not depend on it.
-    progress : callable, optional
-        Called with the stage, the number of images done and of all images.
     renderer : Renderer, optional
         What draws; the CPU if absent.
     workers : WorkerPool, optional

@@ -135,8 +135,6 @@ def compose_depth(
     ----------
     drawn : RenderList
         From :func:`render_list`.
-    threads : int
-        0 takes all cores. The result does not depend on it.
     renderer : Renderer, optional
         What draws; the CPU if absent.
 

@@ -82,8 +82,6 @@ def compose_layers(
         Metres, NaN = none.
     drawn : RenderList
         Of which the map was drawn.
-    threads : int
-        0 takes all cores. The result does not depend on it.
 
     Returns
     -------

@@ -85,8 +85,6 @@ def write_drive(
     blooming_deg : float
         Ghost returns appear around retro-reflectors, up to this angle from them [deg]. They have
         class 1, outlier.
-    progress : callable, optional
-        Called with ``"synth"``, the sweeps done and their number.
     force : bool
         Replace the synthetic drive that is in ``out``. Files that are not of it stay.
 

@@ -52,8 +52,6 @@ def write_rerun(
         What the colours of points say.
     stream : CameraStream, optional
         The camera; its images are logged.
-    progress : callable, optional
-        Called with "rerun", the number of sweeps done and of all sweeps.
     """
     rerun = _rerun_module()
     part = path.with_name(f".{path.stem}.part{path.suffix}")

@@ -46,8 +46,6 @@ def write_video(
         The camera; its images, if available, are shown above the depth.
     fps : float, optional
         Images per second; the recorded rate if absent.
-    progress : callable, optional
-        Called with "video", the number of images done and of all images.
 
     Returns
     -------
@@ -94,8 +92,6 @@ def write_video_from_above(
         With classified frames.
     fps : float, optional
         Sweeps per second; the recorded rate if absent.
-    progress : callable, optional
-        As for :func:`write_video`.
     """
     trajectory, tracks = run.trajectory(), tracks_in(run.path)
     frames = (sweep_from_above(run, trajectory, tracks, k) for k in range(len(trajectory)))
