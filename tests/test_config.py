@@ -6,10 +6,7 @@ import yaml
 
 import docdepth._core as _core
 from docdepth._text import parse_settings
-from docdepth.config import (
-    GroundParameters,
-    parameters,
-)
+from docdepth.config import GroundParameters, parameters
 from docdepth.errors import ConfigError
 from docdepth.io.run_folder import RunFolder
 from docdepth.parameter_table import parameter_table

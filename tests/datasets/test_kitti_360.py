@@ -10,11 +10,7 @@ import pytest
 from conformance import check
 from formats import WRITERS
 from kitti_drives import R_RECT, date, moved, numbers
-from long_drives import (
-    R_RECT_01,
-    SEQUENCE,
-    T_IMU_CAMERA0,
-)
+from long_drives import R_RECT_01, SEQUENCE, T_IMU_CAMERA0
 from made_up import DRIVE, K
 
 from docdepth.datasets import open_dataset

@@ -16,11 +16,7 @@ from docdepth.diagnostics.recording_checks import Inspection
 from docdepth.diagnostics.recording_pictures import pictures_of
 from docdepth.diagnostics.recording_report import inspect_recording
 from docdepth.errors import DatasetError, OdometryError
-from docdepth.geometry.se3 import (
-    inverse,
-    matrix_to_quaternion,
-    quaternion_to_matrix,
-)
+from docdepth.geometry.se3 import inverse, matrix_to_quaternion, quaternion_to_matrix
 from docdepth.io.poses import read_poses, write_kitti
 
 

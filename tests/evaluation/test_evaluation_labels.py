@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 
 from docdepth.errors import InputError
-from docdepth.evaluation import (
-    LabelCounts,
-    LabelEvaluation,
-    ignored,
-    moving,
-)
+from docdepth.evaluation import LabelCounts, LabelEvaluation, ignored, moving
 
 
 def test_moving_classes_are_251_to_259_whatever_the_instance() -> None:

@@ -10,12 +10,7 @@ import pytest
 
 from command_line import cli
 from docdepth.errors import DatasetError
-from docdepth.evaluation.normals import (
-    WITHIN_DEG,
-    NormalEvaluation,
-    evaluate_normals,
-    true_normals,
-)
+from docdepth.evaluation.normals import WITHIN_DEG, NormalEvaluation, evaluate_normals, true_normals
 from docdepth.io.depth import write_depth
 from docdepth.io.run_folder import RunFolder
 from small_drive import HEIGHT, SWEEPS, WIDTH, write_small_drive

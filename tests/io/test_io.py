@@ -14,12 +14,7 @@ from docdepth.geometry.se3 import poses_from, rotation_exp
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
 from docdepth.io.calibration import write_calibration
-from docdepth.io.frames import (
-    read_frame,
-    read_trajectory,
-    write_frame,
-    write_trajectory,
-)
+from docdepth.io.frames import read_frame, read_trajectory, write_frame, write_trajectory
 from docdepth.io.inputs import RunInputs
 from docdepth.io.run_folder import RunFolder, stage_key
 

@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 from docdepth.calibration.board import Board
 from docdepth.calibration.bundle import Observation, Solution, residuals, solve_bundle
 from docdepth.calibration.corners import board_pose
-from docdepth.calibration.find import (
-    FEWEST_BOARDS,
-    SeenBoard,
-    check_varied,
-    find_boards,
-)
+from docdepth.calibration.find import FEWEST_BOARDS, SeenBoard, check_varied, find_boards
 from docdepth.calibration.lens import MODELS, Lens, estimate_lens
 from docdepth.calibration.quality import (
     Halves,

@@ -14,13 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets import kitti_lidar
-from docdepth.datasets.base import (
-    CameraStream,
-    DatasetRepr,
-    ImageStream,
-    LidarStream,
-    Sweep,
-)
+from docdepth.datasets.base import CameraStream, DatasetRepr, ImageStream, LidarStream, Sweep
 from docdepth.datasets.cloud import Cloud, LidarReader, joined_columns
 from docdepth.datasets.files import is_there, read_bytes, readable
 from docdepth.datasets.point_times import (

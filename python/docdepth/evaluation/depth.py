@@ -18,12 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import InputError
-from docdepth.evaluation.depth_metrics import (
-    RANGE_BINS,
-    DepthErrors,
-    PixelSums,
-    RegionErrors,
-)
+from docdepth.evaluation.depth_metrics import RANGE_BINS, DepthErrors, PixelSums, RegionErrors
 from docdepth.evaluation.pixels import (
     EDGE_MARGIN,
     Depth,

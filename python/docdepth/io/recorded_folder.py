@@ -13,14 +13,7 @@ from typing import BinaryIO, NamedTuple
 from uuid import uuid4
 
 from docdepth.errors import RunError
-from docdepth.io.atomic import (
-    WriteFile,
-    Written,
-    has_content,
-    locked,
-    move_aside,
-    write_atomically,
-)
+from docdepth.io.atomic import WriteFile, Written, has_content, locked, move_aside, write_atomically
 from docdepth.io.file_records import FileRecords, shared_records
 from docdepth.io.manifest import RunManifest
 

@@ -25,11 +25,7 @@ from docdepth.io.inputs import DerivedInputs, RunInputs
 from docdepth.io.poses import read_poses
 from docdepth.odometry.pose_checks import find_misfit
 from docdepth.pipeline.execution import check_resources, estimate, gigabytes
-from docdepth.pipeline.given_poses import (
-    file_of_poses,
-    read_given_poses,
-    refuse_poses_of_a_camera,
-)
+from docdepth.pipeline.given_poses import file_of_poses, read_given_poses, refuse_poses_of_a_camera
 from docdepth.pipeline.label_folder import LabelFolder
 from docdepth.pipeline.run_inputs import known_poses, open_as_begun, open_inputs
 from docdepth.render.layers import check_layers

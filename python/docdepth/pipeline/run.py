@@ -24,11 +24,7 @@ from docdepth.io.inputs import RunInputs
 from docdepth.io.manifest import Keep
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.camera_fit import cameras_to_fit, fit_cameras
-from docdepth.pipeline.cameras import (
-    RunCamera,
-    add_cameras,
-    run_cameras,
-)
+from docdepth.pipeline.cameras import RunCamera, add_cameras, run_cameras
 from docdepth.pipeline.check import check_inputs, check_opened, misfit_of_poses
 from docdepth.pipeline.classify import open_labels, run_classify
 from docdepth.pipeline.execution import (

@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import CameraStream
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.track import Track
-from docdepth.visualization.pictures import (
-    TRACK_COLORS,
-    Picture,
-    blended,
-    colors_of_classes,
-)
+from docdepth.visualization.pictures import TRACK_COLORS, Picture, blended, colors_of_classes
 
 SEEN_COLORS = ((110, 110, 110), (178, 114, 0), (0, 120, 255))
 """Of the layer ``seen``: did not look there, agree, contradict."""
