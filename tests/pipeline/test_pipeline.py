@@ -300,26 +300,3 @@ def test_virtual_camera_beside_the_run(drive, finished, tmp_path):
     assert {p.name: p.read_bytes() for p in (run / "depth").glob("*.*")} == before
     assert RunFolder(run).parameters == parameters
     assert cli("run", drive, "-o", run).exit_code == 0
-
-
-def test_a_png_that_cannot_hold_the_range_is_refused_at_once(finished, tmp_path):
-    run = tmp_path / "run"
-    shutil.copytree(finished[0], run)
-    result = cli("render", run, "--set", "render.max_depth=700")
-    assert result.exit_code == 2
-    assert "`scale=64`" in str(result.exception)
-    assert len(list((run / "depth").glob("*.png"))) == FRAMES - 1
-    assert cli("render", run, "--set", "render.max_depth=250").exit_code == 0
-
-
-def test_one_stage_again_with_another_parameter(finished, tmp_path):
-    run = tmp_path / "run"
-    shutil.copytree(finished[0], run)
-    before = {p.name: p.read_bytes() for p in (run / "depth").iterdir()}
-    assert cli("render", run, "--set", "render.ahead=1").exit_code == 0
-    after = {p.name: p.read_bytes() for p in (run / "depth").iterdir()}
-    assert before.keys() == after.keys()
-    assert RunFolder(run).parameters.render.ahead == 1
-    result = cli("render", run, "--set", "dynamics.tolerance=1")
-    assert result.exit_code == 2
-    assert "this stage knows render and output only" in str(result.exception)

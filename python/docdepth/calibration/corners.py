@@ -44,8 +44,8 @@ def find_corners(image: NDArray[np.uint8], board: Board, thorough: bool = True) 
         found, corners = cv2.findChessboardCornersSB(smooth, (board.columns, board.rows), _SUBPIXEL)
     if not found:
         return None
-    pixels = np.asarray(corners, np.float64).reshape(-1, 2)
-    return pixels if _right_handed(pixels, board) else _mirrored(pixels, board)
+    grid = np.asarray(corners, np.float64).reshape(board.rows, board.columns, 2)
+    return (grid if _right_handed(grid) else grid[:, ::-1]).reshape(-1, 2)
 
 
 def counted_corners(image: NDArray[np.uint8], board: Board, found: bool) -> tuple[int, int] | None:
@@ -100,13 +100,8 @@ def board_pose(corners: Floats, board: Board, lens: Lens) -> tuple[Floats, float
     return pose, error
 
 
-def _right_handed(pixels: Floats, board: Board) -> bool:
+def _right_handed(grid: Floats) -> bool:
     """Whether rows follow columns clockwise in the image, as they do on the front of a board."""
-    grid = pixels.reshape(board.rows, board.columns, 2)
     along, down = grid[:, -1] - grid[:, 0], grid[-1] - grid[0]
     along, down = along.mean(axis=0), down.mean(axis=0)
     return bool(along[0] * down[1] - along[1] * down[0] > 0)
-
-
-def _mirrored(pixels: Floats, board: Board) -> Floats:
-    return pixels.reshape(board.rows, board.columns, 2)[:, ::-1].reshape(-1, 2)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
+from operator import methodcaller
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import cv2
 import numpy as np
@@ -95,12 +95,8 @@ def write_result(
         if pair.image is not None:
             picture = points_on_image(read_image_of(pair.image), board, pair, found.solution)
             encoded = cv2.imencode(".jpg", picture)[1].tobytes()
-            write_output(folder / f"{pair.name}.jpg", partial(_write, encoded))
+            write_output(folder / f"{pair.name}.jpg", methodcaller("write", encoded))
         progress("pictures", done, len(pairs))
-
-
-def _write(content: bytes, stream: BinaryIO) -> None:
-    stream.write(content)
 
 
 def _short(number: Any) -> float:

@@ -130,12 +130,11 @@ class Stage:
 
     def left(self) -> list[int]:
         """Frames whose files are missing, damaged or made of something else."""
-        return [k for k in range(len(self.frames)) if not self.is_made(k)]
-
-    def is_made(self, frame: int) -> bool:
-        """Whether all files of a frame are whole and up to date."""
-        outputs = self.frames[frame]
-        return all(self._agrees(self.run.key(file), outputs.made_of) for file in outputs.files)
+        return [
+            k
+            for k, of in enumerate(self.frames)
+            if not all(self._agrees(self.run.key(file), of.made_of) for file in of.files)
+        ]
 
     def _agrees(self, key: Mapping[str, str], more: Mapping[str, str] | None = None) -> bool:
         """Whether the record of a file names what the stage is made of now."""

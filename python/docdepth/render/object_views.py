@@ -280,9 +280,11 @@ class TracksInView:
     """
 
     def __init__(self, tracks: Tracks, trajectory: Trajectory, views: Sequence[View]) -> None:
-        self._tracks, self._trajectory = tracks, trajectory
+        self._tracks = tracks
         self._images = _images_by_camera(views)
-        self._times_of = cache(self._find_times)
+        self._times_of = cache(
+            lambda instance: _times_in_view(tracks[instance], trajectory, self._images)
+        )
 
     def draws(self, instance: int, time: int) -> bool:
         """Whether an image draws what was seen of a track at ``time`` [ns].
@@ -297,9 +299,6 @@ class TracksInView:
         reach = round(MAX_NONRIGID_SECONDS * 1e9)
         first = int(np.searchsorted(times, np.int64(time - reach)))
         return first < len(times) and int(times[first]) <= time + reach
-
-    def _find_times(self, instance: int) -> NDArray[np.int64]:
-        return _times_in_view(self._tracks[instance], self._trajectory, self._images)
 
 
 class _Images(NamedTuple):
