@@ -17,7 +17,7 @@ import typer
 import docdepth
 from docdepth.cli import app
 from docdepth.config import Parameters
-from docdepth.datasets import open_dataset
+from docdepth.datasets import format_names, open_dataset
 
 ROOT = Path(__file__).parent.parent
 README = ROOT / "README.md"
@@ -67,6 +67,11 @@ def test_relative_links_resolve() -> None:
 def _anchors(page: Path) -> set[str]:
     titles = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
     return {re.sub(r"[^\w -]", "", title.lower()).strip().replace(" ", "-") for title in titles}
+
+
+def test_every_format_stands_on_a_page() -> None:
+    told = "".join((ROOT / "docs" / page).read_text() for page in ("recordings.md", "datasets.md"))
+    assert [name for name in format_names() if f"`{name}`" not in told] == []
 
 
 def test_commands_and_options_exist() -> None:
