@@ -40,7 +40,8 @@ def convert(
             "pcd (as DynamicMap_Benchmark, the class as intensity). Depth: proj_depth (as KITTI "
             "releases it, OUT/DRIVE/proj_depth/groundtruth/CAMERA). Photos, poses, depth, masks of "
             "what moves and the static map: nerfstudio, colmap. All of a run as a ROS 2 bag: mcap. "
-            "Voxels around the vehicle, as Occ3D has them: occupancy.",
+            "Voxels around the vehicle, as Occ3D has them: occupancy. The static map in the "
+            "colours of the photos, PLY and LAZ: map.",
             **one_of((*POSE_FORMATS, *LABEL_FORMATS, *DEPTH_FORMATS, *EXPORTS)),
         ),
     ],
@@ -60,6 +61,7 @@ def convert(
     docdepth convert RUN scene --to nerfstudio
     docdepth convert RUN bag --to mcap
     docdepth convert RUN voxels --to occupancy
+    docdepth convert RUN colored --to map
     """
     if to in EXPORTS and (camera or dataset):
         raise ConfigError(f"{to} is written of a run and all its cameras: leave the option out")
@@ -72,7 +74,8 @@ def convert(
         named = {
             "poses": POSE_FORMATS,
             "depth maps": DEPTH_FORMATS,
-            "images": EXPORTS.keys() - {"occupancy"},
+            "points": {"map"},
+            "images": EXPORTS.keys() - {"occupancy", "map"},
         }
         what = next((what for what, formats in named.items() if to in formats), "sweeps")
         say(f"{count} {what} in {output}")

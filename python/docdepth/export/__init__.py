@@ -7,6 +7,7 @@ from pathlib import Path
 
 from docdepth.concurrency import Progress, null_progress
 from docdepth.errors import ConfigError
+from docdepth.export.colored_map import write_colored_map
 from docdepth.export.mcap import write_mcap
 from docdepth.export.occupancy import write_occupancy
 from docdepth.export.posed_images import write_colmap, write_nerfstudio
@@ -17,8 +18,10 @@ EXPORTS: dict[str, Callable[[Run, Path, Progress], int]] = {
     "colmap": write_colmap,
     "mcap": write_mcap,
     "occupancy": write_occupancy,
+    "map": write_colored_map,
 }
-"""What writes each layout; it returns how many images it has written, or sweeps of occupancy."""
+"""What writes each layout; it returns how many images it has written, sweeps of occupancy, or
+points of the map."""
 
 
 def export(
@@ -36,7 +39,7 @@ def export(
     Returns
     -------
     int
-        Images, or sweeps of occupancy.
+        Images, sweeps of occupancy, or points of the map.
     """
     output = Path(output)
     if to not in EXPORTS:

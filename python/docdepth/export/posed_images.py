@@ -25,6 +25,7 @@ PIXEL_CENTRE = 0.5
 
 _SAME = 0.02  # of depth: how far a point may be from the map where a pixel shows it
 _GREY = 128  # of points that no photo shows
+_VIEWS = 9  # of a point, whose median is its colour
 
 
 class Photo(NamedTuple):
@@ -77,7 +78,9 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 class Colors:
-    """Colours of points in the world: the mean over the photos whose depth map shows them.
+    """Colours of points in the world: the median of the photos whose depth map shows them.
+
+    Of many photos the last nine count, which are the nearest ones where the camera looks ahead.
 
     Parameters
     ----------
@@ -87,8 +90,8 @@ class Colors:
 
     def __init__(self, points: NDArray[np.float64]) -> None:
         self.points = points
-        self._sum = np.zeros((len(points), 3))
-        self._count = np.zeros(len(points))
+        self._seen = np.zeros((len(points), _VIEWS, 3), np.uint8)
+        self._count = np.zeros(len(points), np.int64)
 
     def add(self, photo: Photo) -> None:
         """Look at the points in one more photo."""
@@ -102,14 +105,17 @@ class Colors:
         inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
         rows, u, v = ahead[inside], u[inside].astype(int), v[inside].astype(int)
         shown = (np.abs(photo.depth[v, u] - z[rows]) < _SAME * z[rows]) & photo.still[v, u]
-        self._sum[rows[shown]] += photo.rgb[v[shown], u[shown]]
-        self._count[rows[shown]] += 1
+        rows = rows[shown]
+        self._seen[rows, self._count[rows] % _VIEWS] = photo.rgb[v[shown], u[shown]]
+        self._count[rows] += 1
 
     def rgb(self) -> NDArray[np.uint8]:
         """The colours (n, 3); grey where no photo shows the point."""
-        known = self._count > 0
         found = np.full((len(self.points), 3), _GREY, np.uint8)
-        found[known] = np.rint(self._sum[known] / self._count[known, None])
+        views = np.minimum(self._count, _VIEWS)
+        for count in range(1, _VIEWS + 1):
+            rows = views == count
+            found[rows] = np.rint(np.median(self._seen[rows, :count], axis=1))
         return found
 
 
