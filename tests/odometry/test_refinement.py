@@ -8,6 +8,7 @@ import pytest
 from docdepth.errors import OdometryError
 from docdepth.geometry.se3 import inverse, se3_exp
 from docdepth.odometry.odometry import register_drive
+from docdepth.odometry.refinement import noise_along
 from exact_drive import Drive
 
 SWEEPS = 24
@@ -38,6 +39,7 @@ def errors_over(poses: np.ndarray, exact: np.ndarray, apart: int) -> np.ndarray:
 @pytest.mark.parametrize(
     ("metres", "degrees", "scale", "severity"),
     [
+        (0.01, 0, 1, "note"),
         (0.05, 0, 1, "note"),
         (0.2, 0, 1, "warning"),
         (0, 0.5, 1, "note"),
@@ -53,10 +55,34 @@ def test_poor_poses_are_refined_where_they_were_given(
     assert [(f.code, f.severity) for f in odometry.findings] == [("poses-refined", severity)]
     refined = odometry.trajectory.poses
     assert errors_over(refined, drive.exact, 10).max() < 0.02
-    assert errors_over(given, drive.exact, 10).max() > 0.05
+    assert errors_over(given, drive.exact, 10).max() > max(0.03, metres)
     # As a whole they lie where the given ones lie on average.
     off = (refined - given)[:, :3, 3].mean(axis=0)
     np.testing.assert_allclose(off, 0, atol=1e-6)
+
+
+def test_slow_errors_of_centimetres_are_refined(drive: Drive) -> None:
+    """As of GNSS: they hardly change from sweep to sweep."""
+    given = drive.exact.copy()
+    given[:, :3, 3] += 0.08 * np.sin(0.3 * np.arange(SWEEPS)[:, None] + [0, 2, 4])
+    odometry = register_drive(drive, poses=given)
+    assert [f.code for f in odometry.findings] == ["poses-refined"]
+    refined = odometry.trajectory.poses
+    assert errors_over(refined, drive.exact, 10).max() < 0.02
+    assert errors_over(refined, drive.exact, 1).max() < 0.01
+
+
+@pytest.mark.parametrize("metres", [0.003, 0.01, 0.05])
+def test_noise_along_the_way(metres: float) -> None:
+    poses = np.repeat(np.eye(4)[None], 400, axis=0)
+    times = np.arange(400) * 10**8 + np.random.default_rng(1).integers(-(10**6), 10**6, 400)
+    seconds = 1e-9 * times
+    poses[:, 0, 3] = 9 * seconds + 3 * np.sin(0.7 * seconds)  # it drives and brakes
+    poses[:, 2, 3] = 0.005 * np.sin(12 * seconds)  # and heaves
+    assert noise_along(poses, times) < 1e-4
+    assert noise_along(noisy(poses, metres, 0), times) == pytest.approx(metres, rel=0.15)
+    assert noise_along(poses[::5], times[::5]) == 0
+    assert noise_along(poses[:3], times[:3]) == 0
 
 
 def test_good_poses_are_kept_bit_for_bit(drive: Drive) -> None:

@@ -1,7 +1,8 @@
-"""Given poses that are good to decimetres, as those of GNSS and IMU are, refined by registration.
+"""Given poses that are centimetres or decimetres off, as those of GNSS, refined by registration.
 
 Votes compare sweeps that were taken up to 80 m apart. Poses that are 15 cm off over ten sweeps make
-half of the world look moving, though neighbouring sweeps fit each other.
+half of the world look moving, though neighbouring sweeps fit each other. Poses that are 3 cm off
+make a twentieth of what moves.
 """
 
 from __future__ import annotations
@@ -27,8 +28,13 @@ _APART = 10  # sweeps between those that are compared
 # Metres by which points move when sweeps are aligned with those ten before. Median of exact poses:
 # 0.002 to 0.021 by five sensors; of two SLAMs 0.03 and 0.05. With noise of 5 cm 0.06 to 0.1, with
 # 0.1 degrees 0.03 to 0.17, by GPS and IMU 0.16.
-_POOR = 0.06
+_DOUBTFUL, _POOR = 0.02, 0.06
 _BETTER = 0.5  # of the misfit; refined poses that fit little better are not taken
+# Metres of noise along the way: by GPS and IMU, and by registration, 0.1 to 5 mm.
+_SHAKES, _BETTER_IF_SHAKEN = 0.007, 0.8
+_JERK = 2.0  # metres/s^3; a vehicle drives and brakes as gently as that
+_MEDIAN_OF_NORMAL = 0.6745  # of absolute values, in standard deviations
+_THIRD = 20**0.5  # standard deviation of a third difference of errors of 1
 
 
 def _misfit_of(
@@ -45,6 +51,28 @@ def _misfit_of(
     return misfit(points, poses, sweeps.times, parameters, apart)
 
 
+def noise_along(poses: NDArray[np.float64], times: NDArray[np.int64]) -> float:
+    """Standard deviation of the error that each pose has by itself along the way [m].
+
+    A vehicle heaves, sways and turns, but along its way it drives evenly: third differences of the
+    path are errors, but for those that a vehicle's jerk explains.
+
+    Parameters
+    ----------
+    poses : ndarray of float64, shape (n, 4, 4)
+        ``T_world_lidar``.
+    times : ndarray of int64, shape (n,)
+        Stamps [ns].
+    """
+    if len(poses) < 4:
+        return 0.0
+    seconds = 1e-9 * np.diff(times)
+    period = float(np.median(seconds))
+    ways = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) * period / seconds
+    third = float(np.median(np.abs(np.diff(ways, 2)))) / _MEDIAN_OF_NORMAL
+    return max(0.0, third - _JERK * period**3) / _THIRD
+
+
 def refine_poor(
     sweeps: ThinnedSweeps,
     poses: NDArray[np.float64],
@@ -55,12 +83,13 @@ def refine_poor(
     """Poses (n, 4, 4) ``T_world_lidar`` that fit the sweeps, and what is to be said of them.
 
     Poses that fit are returned as they are. Others are registered, once for each of the ``logs``
-    of a part, each sweep from where they say that it lies. The result is laid on them, each part as
-    a whole: the world stays where it was given.
+    of a part, each sweep from where they say that it lies. What fits better is laid on them, each
+    part as a whole: the world stays where it was given.
     """
     apart = min(_APART, max(1, len(poses) // 3))
     before = _misfit_of(sweeps, poses, parameters, apart)
-    if before is None or before <= _POOR:
+    shaken = noise_along(poses, sweeps.times)
+    if before is None or (before <= _DOUBTFUL and shaken <= _SHAKES):
         return poses, []
     found: list[Finding] = []
     refined = poses.copy()
@@ -74,16 +103,21 @@ def refine_poor(
         refined[rows] = _laid_on(poses[rows], path)
     after = _misfit_of(sweeps, refined, parameters, apart)
     misfits = (
-        f"the poses do not fit the sweeps: points lie {before:.2f} m from where they were {apart} "
+        f"the poses do not fit the sweeps: points lie {before:.3f} m from where they were {apart} "
         "sweeps before"
     )
-    if found or after is None or after > min(_POOR, _BETTER * before):
+    if shaken > _SHAKES:
+        misfits += f", and each pose is {shaken:.3f} m off along the way by itself"
+    better = _BETTER_IF_SHAKEN if shaken > _SHAKES else _BETTER
+    if found or after is None or after > min(_POOR, better * before):
+        if before <= _POOR:
+            return poses, []
         text = f"{misfits}; registration finds no poses that fit, so these are kept"
         remedy = "labels and depth may be wrong; bring others, or none (`poses`)"
         return poses, [Finding("poor-poses", "", text, remedy)]
     moved = np.linalg.norm((refined - poses)[:, :3, 3], axis=1).max()
     text = (
-        f"{misfits}; after registration {after:.2f} m. The poses have moved by up to {moved:.2f} m"
+        f"{misfits}; after registration {after:.3f} m. The poses have moved by up to {moved:.2f} m"
     )
     remedy = "`poses_as_given=True` takes them as they are"
     severity: Literal["warning", "note"] = "warning" if before > MISFIT else "note"
