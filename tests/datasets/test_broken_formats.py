@@ -95,6 +95,8 @@ BROKEN: list[tuple[str, str, Change, type, str]] = [
     ("kitti_odometry", "calib.txt", gone, C, "missing"),
     ("kitti_odometry", "calib.txt", extrinsics(lambda T: T + np.eye(3, 4) * 5), C, "'Tr:'"),
     ("kitti_odometry", "calib.txt", extrinsics(lambda T: 0 * T), C, "'Tr:'"),
+    ("kitti_odometry", "calib.txt", swap("Tr:", "P2: 1\nTr:"), C, "two lines 'P2:'"),
+    ("folder of ply", "docdepth.yaml", named("docdepth.yml"), D, "call it docdepth.yaml"),
     ("kitti_odometry", "velodyne/000002.bin", text(""), D, "(frame 2)"),
     ("KITTI-360", "calib_cam_to_velo.txt", text("1 2 3"), C, "16 numbers"),
     ("KITTI-360", "calib_cam_to_velo.txt", text("a b c"), C, "no matrix of numbers"),

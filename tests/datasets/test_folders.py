@@ -275,6 +275,21 @@ def test_times_of_names_rates_and_tables(folder: Path) -> None:
     np.testing.assert_array_equal(open_dataset(folder).times, DRIVE.times)
 
 
+@pytest.mark.parametrize("digits", [19, 16, 13])
+def test_counts_since_1970_and_comments_in_tables(folder: Path, digits: int) -> None:
+    """As names of files give times; seconds are told by their point."""
+    unit = 10 ** (19 - digits)
+    counts = (DRIVE.times // unit).tolist()
+    text = "# stamps\n" + "".join(f"{count}  # sweep {k}\n" for k, count in enumerate(counts))
+    (folder / "stamps.txt").write_text(text.replace(str(counts[3]), seconds(DRIVE.times[3:4])[:-1]))
+    (folder / "front.txt").write_text("".join(f"{t}\n" for t in DRIVE.image_times))
+    dataset = open_dataset(folder)
+    expected = DRIVE.times // unit * unit
+    expected[3] = DRIVE.times[3]
+    np.testing.assert_array_equal(dataset.times, expected)
+    np.testing.assert_array_equal(dataset.cameras["front"].times, DRIVE.image_times)
+
+
 def test_a_declared_instant_moves_the_points(folder: Path) -> None:
     """Times from the first point on, and a stamp at the end of the sweep."""
     before = open_dataset(folder).sweep(1).relative_time

@@ -166,9 +166,9 @@ class Calibration:
             raise CalibrationError(str(error)) from None
         self._values: dict[str, str] = {}
         for line in lines:
-            name, colon, value = line.partition(":")
-            if colon:
-                self._values[name.strip()] = value
+            name, colon, value = (part.strip() for part in line.partition("#")[0].partition(":"))
+            if colon and self._values.setdefault(name, value) != value:
+                raise CalibrationError(f"{file} has two lines '{name}:'; keep the right one")
 
     def __contains__(self, name: str) -> bool:
         return name in self._values
@@ -184,7 +184,7 @@ class Calibration:
         if values.size != int(np.prod(shape)) or not np.isfinite(values).all():
             raise CalibrationError(
                 f"{self.file}: '{name}:' must be {int(np.prod(shape))} finite numbers, "
-                f"got '{self._values[name].strip()}'"
+                f"got '{self._values[name]}'"
             )
         return values.reshape(shape)
 

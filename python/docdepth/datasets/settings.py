@@ -224,6 +224,8 @@ def read_settings(
             given = parse_yaml("\n".join(read_lines(file, "write it again or remove it")))
         except ValueError as error:
             raise DatasetError(f"{file} is not YAML: {error}") from None
+    elif is_there(other := file.with_suffix(".yml")):
+        raise DatasetError(f"{other} is not read; call it {file.name}")
     if not isinstance(given, dict | None):
         raise DatasetError(f"{file}: write NAME: VALUE")
     names = list(model.model_fields) if taken is None else list(taken)

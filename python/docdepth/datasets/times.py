@@ -25,7 +25,8 @@ _TABLES = ("times.txt", "timestamps.txt")
 def read_times(path: Path) -> NDArray[np.int64]:
     """Read times (n,) in nanoseconds, one a line.
 
-    Lines are seconds like ``1317000000.123456789`` or dates like ``2011-09-26 13:02:25.951199337``.
+    Lines are seconds like ``1317000000.123456789``, dates like ``2011-09-26 13:02:25.951199337``,
+    or 19, 16 or 13 digits: nanoseconds, microseconds or milliseconds since 1970.
     """
     lines = _numbered_lines(path, "write one time a line, in seconds")
     return np.array([_nanoseconds(text, n, path) for n, text in lines if text], np.int64)
@@ -69,8 +70,9 @@ def image_times(
 
 
 def _numbered_lines(path: Path, remedy: str) -> list[tuple[int, str]]:
-    """The lines of a text file with their numbers, blank ones as well."""
-    return [(n, line.strip()) for n, line in enumerate(read_lines(path, remedy), 1)]
+    """The lines of a text file with their numbers, blank ones as well; comments begin with #."""
+    lines = [(n, line.strip()) for n, line in enumerate(read_lines(path, remedy), 1)]
+    return [(n, text.partition("#")[0].rstrip()) for n, text in lines if not text.startswith("#")]
 
 
 def _nanoseconds(text: str, line: int, path: Path) -> int:
@@ -84,6 +86,8 @@ def _nanoseconds(text: str, line: int, path: Path) -> int:
                 raise ValueError
             return int(stamp.astype(np.int64))
         seconds = Decimal(text)
+        if text.isascii() and text.isdigit() and len(text) in _UNITS:
+            seconds *= Decimal(_UNITS[len(text)]) / 10**9
         if not seconds.is_finite() or seconds.adjusted() > 9 or abs(seconds) >= _MOST_SECONDS:
             raise ValueError
         return int((seconds * 1_000_000_000).to_integral_value())
