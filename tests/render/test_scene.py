@@ -30,6 +30,7 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.render.scene import Scene, render_depth, render_layers
 from docdepth.render.selection import needed_sweeps
+from walled_yard import pose, scan
 
 LAYERS = ("class", "time", "range", "support", "std", "confidence")
 
@@ -53,6 +54,23 @@ def scene_of(run, drive):
         labels.append(Labels(classes, nobody, instance))
     tracks = tracks_in(folder.path)
     return Scene(sweeps, folder.trajectory(), labels, folder.parameters, tracks), recording
+
+
+def test_a_sweep_that_was_cut_off_is_completed_where_the_vehicle_stands():
+    """All sweeps are from one place, and that nearest in time stands for it."""
+    whole = scan(pose(), 0.0, 2)[0].astype(np.float32)
+    trajectory = straight(4, spacing=0.0)
+    camera = CameraStream("front", small_camera(), AXES, trajectory.times, list("abcd"))
+    maps = []
+    for last in (whole, whole[whole[:, 2] > -0.5]):
+        labels = [np.full(len(points), 50, np.uint16) for points in (whole, whole, whole, last)]
+        scene = Scene([whole, whole, whole, last], trajectory, labels, tracks=())
+        maps.append(render_depth(scene, camera, 3))
+    drawn = [np.isfinite(depth) for depth in maps]
+    assert drawn[0].mean() > 0.4
+    assert np.mean(drawn[1] != drawn[0]) < 0.01  # along the cut
+    off = np.abs(maps[1] / maps[0] - 1)[drawn[0] & drawn[1]]
+    assert np.quantile(off, 0.9) < 1e-3
 
 
 @pytest.mark.parametrize("preset", ["default", "paper"])

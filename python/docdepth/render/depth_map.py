@@ -17,10 +17,14 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.backends import Renderer
 from docdepth.render.object_views import ObjectViews, PlacedBox, boxes_in_view, object_views
 from docdepth.render.render_sweep import Part, RenderSweep
-from docdepth.render.selection import drawn_sweeps
+from docdepth.render.selection import DrawnSweeps, drawn_sweeps
 
 NEAR = 0.1
 """Near plane of the core's renderers [m]: points closer to the image plane are not drawn."""
+
+_CUT_OFF = 0.9
+"""A sweep of fewer returns than this share of the fullest one around it may lack a part of its
+view. From sweep to sweep they differ by a few hundredths."""
 
 PartAround: TypeAlias = tuple[Any, NDArray[np.float64], float]
 """A part with its pose, and the seconds from its sweep to the image."""
@@ -100,6 +104,8 @@ def render_list(
         T_camera_sweep = view.T_camera_world @ trajectory.poses[index]
         return [(core, T_camera_sweep @ T_lidar_sensor) for core, T_lidar_sensor in parts]
 
+    if not splats:
+        drawn = _completed(drawn, sweeps)
     static = [part for i in drawn.static for part in placed(i)]
     around = [
         (*part, float((np.int64(view.time) - trajectory.times[i]) * 1e-9))
@@ -122,6 +128,15 @@ def render_list(
         len(sweeps(drawn.dynamic[0]).parts),
         boxes_in_view(view, trajectory, tracks) if tracks else [],
     )
+
+
+def _completed(drawn: DrawnSweeps, sweeps: Callable[[int], RenderSweep]) -> DrawnSweeps:
+    """Behind a sweep that was cut off, the fullest around the image: all may be from one place."""
+    nearest, fullest = drawn.dynamic[0], max(drawn.dynamic, key=lambda i: sweeps(i).returns)
+    whole = sweeps(nearest).returns >= _CUT_OFF * sweeps(fullest).returns
+    if whole or fullest in drawn.static:
+        return drawn
+    return drawn._replace(static=[nearest, fullest, *drawn.static[1:]])
 
 
 def compose_depth(

@@ -62,10 +62,13 @@ class RenderSweep:
         One for each LiDAR.
     objects : DynamicObjects
         Of the points that are drawn. Triangles only.
+    returns : int
+        So many points are drawn.
     """
 
     parts: list[Part]
     objects: DynamicObjects
+    returns: int
 
     def __init__(
         self,
@@ -79,6 +82,7 @@ class RenderSweep:
         if not drawn.all():
             frame, objects = frame.select(drawn), objects and objects.select(drawn)
         points, classid = frame.points, frame.classes
+        self.returns = len(points)
         if p.primitive == "splats":
             self.parts = [(_core.Frame(points, classid, np.inf), np.eye(4))]
             return
