@@ -59,14 +59,13 @@ class EndlessDrive(Drive):
         frames: int,
         seed: int = 0,
         skew: bool = True,
-        shutter: float = 0.37,
         tiles: int = WAY_BACK,
         turn_deg: float | None = None,
     ) -> None:
         self.street = EndlessStreet(seed, tiles, turn_deg)
         nothing = merged([self.street.road.ground(1.0, (0.0, 1.0))])
         street = Scene("endless", nothing, [], ego_path(self.street.road), np.inf)
-        super().__init__(street, sensor, frames, seed, skew, shutter)
+        super().__init__(street, sensor, frames, seed, skew)
         self._world = lru_cache(maxsize=_WORLDS)(self._make_world)
         self._static = lru_cache(maxsize=_KEPT_PIECES)(self.street.static)
         self._passers = lru_cache(maxsize=_KEPT_PASSERS)(self.street.passers)

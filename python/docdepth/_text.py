@@ -132,18 +132,18 @@ def read_yaml(text: str) -> Any:
         raise yaml.YAMLError("a tag (!!) does not fit its value") from None
 
 
-def parse_settings(assignments: list[str], option: str = "--set") -> dict[str, object]:
+def parse_settings(assignments: list[str]) -> dict[str, object]:
     """``["dynamics.tolerance=0.3"]`` as a dict; values are read as YAML."""
     settings: dict[str, object] = {}
     for assignment in assignments:
         name, equals, value = assignment.partition("=")
         if not equals:
-            raise ConfigError(f"{option} {assignment!r}: write stage.name=value")
+            raise ConfigError(f"--set {assignment!r}: write stage.name=value")
         try:
             settings[name.strip()] = read_yaml(value)
         except (yaml.YAMLError, ValueError):
             raise ConfigError(
-                f"{option} {assignment!r}: the value {value!r} cannot be read; write a number, a "
+                f"--set {assignment!r}: the value {value!r} cannot be read; write a number, a "
                 "word or a list such as [50, 3]"
             ) from None
     return settings

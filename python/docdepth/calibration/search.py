@@ -29,6 +29,7 @@ _LEAST_WIDTH = 0.04  # metres; narrower sets of returns are of a single ring
 _FLAT = 0.035  # metres, RMS around a seed: the noise, and not more
 _BEYOND = 0.35  # share of returns beyond the edge of a patch that stands free
 _LARGE = 0.9  # share beyond the edge, however the place is moved, of a wall or the ground
+_LEAST_SCORE = 0.6  # of a patch that may be the board
 _SAME_PLACE = 0.25  # metres between patches that are one
 _MARGIN = 0.3  # metres around the board that are looked at
 _TOLERANCE = 0.03  # metres; returns nearer to the edge do not count
@@ -55,17 +56,13 @@ class Patch:
     score: float
 
 
-def find_patches(
-    sweep: BoardSweep, board: Board, distance: tuple[float, float], fewest_score: float = 0.6
-) -> list[Patch]:
+def find_patches(sweep: BoardSweep, board: Board, distance: tuple[float, float]) -> list[Patch]:
     """Flat patches of about the size of the board that stand free, best first.
 
     Parameters
     ----------
     distance : (float, float)
         Least and greatest distance from the LiDAR [m].
-    fewest_score : float
-        Patches with a lower score are left out.
     """
     wanted = (sweep.ranges > distance[0]) & (sweep.ranges < distance[1])
     if sweep.may_be_board is not None:
@@ -81,7 +78,7 @@ def find_patches(
         if any(np.linalg.norm(centre - k.T_lidar_board[:3, 3]) < _SAME_PLACE for k in kept):
             continue
         patch = fit_patch(sweep, board, _facing(centre, normal))
-        if patch is not None and patch.score >= fewest_score:
+        if patch is not None and patch.score >= _LEAST_SCORE:
             kept.append(patch)
     return _distinct(kept)
 

@@ -84,7 +84,7 @@ class Skew:
         )
 
 
-def find_skew(recording: Dataset, parameters: OdometryParameters | None = None) -> Skew | None:
+def find_skew(recording: Dataset) -> Skew | None:
     """Find whether the sweeps of a recording are as measured.
 
     Parameters
@@ -100,7 +100,7 @@ def find_skew(recording: Dataset, parameters: OdometryParameters | None = None) 
     turns = _turns_of(recording)
     if not turns or len(recording) < _FEWEST:
         return None
-    pieces = _pieces(recording, parameters or OdometryParameters())
+    pieces = _pieces(recording)
     if len(pieces) < (1 if len(turns) == 1 else 2):  # the best of many needs a second proof
         return None
     first = {turn: pieces[0].sharpness(turn) for turn in turns}
@@ -174,13 +174,13 @@ def _turns_of(recording: Dataset) -> list[Turn]:
     return found[0] if found and all(turns == found[0] for turns in found) else []
 
 
-def _pieces(recording: Dataset, parameters: OdometryParameters) -> list[_Piece]:
+def _pieces(recording: Dataset) -> list[_Piece]:
     """The fastest pieces of the drive, in which the LiDAR moves."""
     last = max(0, len(recording) - _LENGTH)
     starts = list(dict.fromkeys(int(share * last) for share in _PLACES))
     if last < _LENGTH:  # two pieces would share sweeps
         starts = starts[:1]
-    pieces = [_Piece(recording, start, parameters) for start in starts]
+    pieces = [_Piece(recording, start) for start in starts]
     moving = [piece for piece in pieces if piece.speed > _MOVING]
     return sorted(moving, key=lambda piece: -piece.speed)
 
@@ -188,10 +188,10 @@ def _pieces(recording: Dataset, parameters: OdometryParameters) -> list[_Piece]:
 class _Piece(View):
     """A few sweeps of a drive in a row, each read once."""
 
-    def __init__(self, recording: Dataset, start: int, parameters: OdometryParameters) -> None:
+    def __init__(self, recording: Dataset, start: int) -> None:
         end = min(start + _LENGTH, len(recording))
         super().__init__(FrameRange(recording, f"{start}:{end}"))
-        self._parameters, self._read = parameters, dict[int, Sweep]()
+        self._parameters, self._read = OdometryParameters(), dict[int, Sweep]()
         found = first_motion(self._thinned(TurningLidar(self, None)), range(len(self)))
         self._motion = np.eye(4) if found is None else found
         self.speed = float(np.linalg.norm(self._motion[:3, 3]))

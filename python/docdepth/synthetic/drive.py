@@ -20,6 +20,7 @@ from docdepth.synthetic.street import Scene
 
 Floats = NDArray[np.float64]
 _NS = 1_000_000_000
+_SHUTTER = 0.37  # time of image k, as a share of the time from sweep k to sweep k + 1
 _FIRST_MOVING_CLASS = 252  # of SemanticKITTI: a moving car
 
 
@@ -104,8 +105,6 @@ class Drive:
         Seed of noise and dropout.
     skew : bool
         Leave the points as measured while the ego moved (raw sweeps).
-    shutter : float
-        Time of image ``k``, as a share of the time from sweep ``k`` to sweep ``k + 1``.
 
     Attributes
     ----------
@@ -127,7 +126,6 @@ class Drive:
         frames: int,
         seed: int = 0,
         skew: bool = False,
-        shutter: float = 0.37,
     ) -> None:
         longest = np.floor(scene.duration / sensor.period)
         if not 2 <= frames <= longest:
@@ -138,7 +136,7 @@ class Drive:
         self.rig = kitti_rig()
         period = round(sensor.period * _NS)
         self.times = period * np.arange(frames, dtype=np.int64)
-        self.camera_times = self.times[:-1] + round(shutter * period)
+        self.camera_times = self.times[:-1] + round(_SHUTTER * period)
         self.T_scene_world = self._scene_poses(np.zeros(1))[0]
         self.poses = self.pose_at(self.times)
         self._bias = sensor.bias * np.random.default_rng([seed, 2]).normal(size=256)

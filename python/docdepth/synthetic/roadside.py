@@ -34,11 +34,11 @@ _ROOF = Paint(50, (0.35, 0.34, 0.33), 0.2)
 _SLAB = Paint(50, (0.6, 0.6, 0.58), 0.4)
 
 
-def tree(rng: Rng, height: float = 8.0, label: int = 70) -> Mesh:
+def tree(rng: Rng, height: float = 8.0) -> Mesh:
     """A tree: trunk, branches and a crown of single leaves."""
     bark = Paint(71, (0.30, 0.24, 0.18), 0.25)
     green = (0.20, 0.34, 0.12) if rng.random() < 0.8 else (0.33, 0.36, 0.12)
-    paint = Paint(label, green, 0.5)
+    paint = Paint(70, green, 0.5)
     base = height * rng.uniform(0.28, 0.36)
     lean = rng.normal(0, 0.15, 2)
     girth = 0.018 * height
