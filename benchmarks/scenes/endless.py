@@ -43,8 +43,6 @@ class EndlessDrive(Drive):
     seed : int
     skew : bool
         Leave the points as measured while the ego moved.
-    shutter : float
-        As for :class:`Drive`.
     tiles : int
         Tiles of 600 m after which the ego comes back and drives along the same street again, with
         other traffic.

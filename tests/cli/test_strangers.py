@@ -83,7 +83,7 @@ def test_a_folder_that_was_deleted_while_one_stands_in_it(docdepth, drive, tmp_p
     ended = docdepth("run", drive, "-o", "run")
     monkeypatch.chdir(tmp_path)
     assert ended.code == 2
-    assert "was the folder that you stand in deleted?" in ended.err
+    assert "the current directory does not exist any more" in ended.err
 
 
 def test_unusable_points_are_kept_apart(drive, tmp_path):

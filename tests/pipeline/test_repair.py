@@ -120,7 +120,7 @@ def test_a_run_by_itself_takes_parameters_and_goes_back(root):
     assert cli(*back).exit_code == 0
     assert files(run) == before
     text = refused("run", run, "--set", "dynamics.tolerance=0.3", "--frames", "0:2")
-    assert "a run alone keeps its inputs" in text
+    assert "keeps the inputs of the run" in text
     assert cli("run", run, "--set", "x.y=1").exit_code == 2
     assert files(run) == before
 

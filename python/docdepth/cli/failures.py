@@ -18,7 +18,7 @@ from docdepth.cli.terminal import as_commands, err, say, volume
 from docdepth.errors import DocDepthError
 
 MISTAKE, BUG, STOPPED = 2, 1, 130
-"""Exit codes: the user can mend it; docdepth's authors must; Ctrl-C."""
+"""Exit codes: user error, internal error, interrupted."""
 
 # The base class of typer's errors of usage, which is click's in older releases of typer.
 _Usage = [c for c in typer.BadParameter.__mro__ if hasattr(c, "format_message")][-1]
@@ -101,7 +101,7 @@ def _of_path(error: OSError) -> str:
     way = (Path(path), *Path(path).parents)
     links = [place for place in way if os.path.islink(place) and not os.path.exists(place)]
     if error.errno == errno.ENOENT and not path:
-        remedy = "was the folder that you stand in deleted? Go to another"
+        remedy = "the current directory does not exist any more; change to another"
     elif error.errno == errno.ENOENT and links:
         points = f"{links[-1]} is a link to {os.readlink(links[-1])}"
         what = f"cannot be opened: {points}, which is not there"

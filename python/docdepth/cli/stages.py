@@ -144,8 +144,8 @@ def _continue(
         raise ConfigError("no recording: docdepth run RECORDING, or docdepth run RUN")
     if not is_alone:
         raise ConfigError(
-            "a run alone keeps its inputs: give no other option than --set, --format, --scale and "
-            "--layers, or RECORDING and -o RUN"
+            "docdepth run RUN keeps the inputs of the run and takes no option but --set, --format, "
+            "--scale and --layers; for others give RECORDING and -o RUN"
         )
     with progress_bars() as progress:
         return continue_run(run, changed, how.but(progress=progress))

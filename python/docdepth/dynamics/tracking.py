@@ -138,8 +138,9 @@ def track_objects(
     Where a track adds an object, the place must have been observed free before or after, or been
     occupied only while the tracked object stood there; otherwise it is another one: a parked car
     that was passed, a pole, a wall. It may also not show more of its surface than was seen to move
-    at once; of a vehicle, an eighth of all that was. What is as wide as a vehicle only while little
-    of it passes is none: a person who brushes a parked car.
+    at once; of a vehicle, an eighth of all that was. A pedestrian who touches a parked car is
+    merged with it for some sweeps: what is as wide as a vehicle only while little of it is
+    transient is none.
 
     Between its detections a tracked object is where its motion predicts it, even where its points
     are too few to be an object. The voxels of a result hold such points, too.

@@ -126,14 +126,13 @@ class RunInputs(Checked):
         "WxH",
     )
     on_error: Literal["stop", "skip"] | None = _field(
-        "What to do about broken sweeps and images. stop: name them and end. skip: read all before "
-        "the run begins and leave out broken ones. Default: as the run was started; stop for a new "
-        "run."
+        "Broken sweeps and images. stop: report them and end. skip: read the whole recording first "
+        "and leave them out. Default: as the run was started; stop for a new run."
     )
     hash_inputs: bool = Field(
         False,
-        description="Tell by their content whether sweeps and images have changed, not by size and "
-        "time; reads the whole recording once.",
+        description="Detect changed sweeps and images by a hash of their content instead of size "
+        "and time; reads the whole recording once.",
     )
 
     @field_validator("camera", mode="before")

@@ -141,9 +141,9 @@ class RunManifest(BaseModel):
     parameters_at_start : Parameters, optional
         Before a stage changed some.
     keep : {"frames", "results"}, optional
-        What stays once all is done; ``frames`` if absent.
+        Which files to keep when the run is complete; ``frames`` if absent.
     frames_deleted : dict of str to str, optional
-        Keys of the stages whose frames were deleted. While these are up to date, none is missing.
+        Keys of the stages whose frames were deleted; frames count as present while these match.
     chunk_length : float, optional
         Length of chunks of ground that keep to a budget of memory [m].
     warnings, estimate

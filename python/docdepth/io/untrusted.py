@@ -26,7 +26,7 @@ from docdepth.errors import DamagedFileError
 
 _MOST_BITS = 1000  # of a whole number; Python does not even print one of 4300 digits
 _MOST_VALUES = 10_000_000
-"""Of a tree in which YAML's aliases stand for what they repeat: nine lines can be a milliard."""
+"""Limit on values of YAML once its aliases are expanded ("billion laughs")."""
 
 _LONGEST_HEADER = 10_000  # bytes
 _MOST_PACKED = 1100  # times as large as its compressed bytes; deflate packs 1032 into one

@@ -55,8 +55,8 @@ from docdepth.odometry.sweeps import FINE_SAMPLING, DeskewedSweeps, SweepPart, T
 log = logging.getLogger(__name__)
 
 PASSES = 2
-"""Registrations of the whole drive: one finds the poses, the other refines them. A third makes no
-drive truer."""
+"""Registrations of the whole drive: the first finds the poses, the second refines them. A third
+does not improve accuracy."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -81,44 +81,45 @@ class Execution(Checked):
         0,
         ge=0,
         le=256,
-        description="Threads to use; 0 takes every core. Same result.",
+        description="Number of threads; 0 = all cores. Does not change the result.",
         json_schema_extra={"metavar": "N"},
     )
     jobs: int = Field(
         1,
         ge=1,
         le=1024,
-        description="Processes of this machine that share the work after odometry. Same result.",
+        description="Number of local processes that share the work after odometry. Does not change "
+        "the result.",
         json_schema_extra={"metavar": "N"},
     )
     scheduler: str | None = Field(
         None,
-        description="Dask scheduler (tcp://HOST:8786) whose workers share the work instead. They "
-        "must see recording and run folder under the same paths.",
+        description="Address of a Dask scheduler (tcp://HOST:8786) whose workers do the work "
+        "instead. They must see recording and run folder under the same paths.",
         json_schema_extra={"metavar": "ADDRESS"},
     )
     memory: str | None = Field(
         None,
-        description="Most memory of all processes together, for example 4G: ground grows in chunks "
-        "short enough, or the run says before it starts what it would need. Same result.",
+        description="Memory limit of all processes together, for example 4G. Shortens the chunks "
+        "of ground; a run that needs more does not start. Does not change the result.",
         json_schema_extra={"metavar": "SIZE"},
     )
     renderer: Annotated[Renderer, BeforeValidator(_renderer)] = Field(
-        Renderer(), description="What draws; all draw the same. cpu if absent."
+        Renderer(), description="Rasteriser; all give the same pixels. cpu if absent."
     )
     keep: Keep | None = Field(
         None,
-        description="What stays once all is done. results: all but the frames, which are four "
-        "fifths of the bytes; view, map and render need them. frames: these as well; they are made "
-        "again if they were deleted. Default: as the run was started; frames for a new run.",
+        description="Files to keep when the run is complete. frames: all. results: delete the "
+        "deskewed sweeps, about 80 % of the size, which view, map and render need. Default: as the "
+        "run was started; frames for a new run.",
     )
     force: bool = Field(
         False,
-        description="Continue a run that was started with other inputs or parameters; what they "
-        "change is made again.",
+        description="Continue a run with other inputs or parameters; results that depend on them "
+        "are made again.",
     )
     dry_run: bool = Field(
-        False, description="Check all inputs and tell what would be made; make nothing."
+        False, description="Check all inputs and list what would be made; write nothing."
     )
     progress: Progress | None = None
 
