@@ -140,6 +140,13 @@ def test_files_of_others_are_opened_in_one_place() -> None:
     }  # fmt: skip
 
 
+def test_a_file_larger_than_any_sweep_is_not_read(copy: Path) -> None:
+    """A sparse one takes no place on the disk, and would take all memory."""
+    os.truncate(copy / "velodyne" / "000002.bin", 1 << 42)
+    with pytest.raises(DatasetError, match=r"000002.bin .frame 2. cannot be read .it has 4,398 GB"):
+        open_dataset(copy).sweep(2)
+
+
 def test_files_that_may_not_be_read(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Who runs the tests as root may read all.
     opened = os.open

@@ -436,7 +436,7 @@ def test_wrong_entries_are_named(folder: Path, entries: dict, message: str) -> N
     assert "docdepth.yaml" in str(caught.value) or "gone" in str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["../../out", "", "all"])
+@pytest.mark.parametrize("name", ["../../out", "", "all", "a\nb", "x" * 5000])
 def test_names_of_cameras_stay_in_the_run(folder: Path, name: str) -> None:
     change(folder, cameras={name: settings()["cameras"]["front"]})
     with pytest.raises(DocDepthError, match="a camera cannot be called"):

@@ -24,6 +24,8 @@ from docdepth.geometry.se3 import check_rigid, if_mirrored
 
 LensModel = Literal["pinhole", "fisheye"]
 
+_LONGEST_NAME = 100  # characters of a camera's name; file systems allow 255 bytes
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sweep(ShortRepr):
@@ -136,10 +138,11 @@ def _rigid(name: str, T: ArrayLike) -> NDArray[np.float64]:
 
 def check_name(name: str) -> None:
     """Refuse a name of a camera that cannot be that of a folder, or leads out of it."""
-    if not name or set(name) & set("/\\\0") or name in (".", "..", "all", "none"):
+    is_name = name.isprintable() and 0 < len(name) <= _LONGEST_NAME and not set(name) & set("/\\")
+    if not is_name or name in (".", "..", "all", "none"):
         raise CalibrationError(
-            f"a camera cannot be called {name!r}: results lie in folders of this name; use letters "
-            "and digits"
+            f"a camera cannot be called {name[:_LONGEST_NAME]!r}: results lie in folders of this "
+            "name; use letters and digits"
         )
 
 

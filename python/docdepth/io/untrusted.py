@@ -29,6 +29,7 @@ _MOST_VALUES = 10_000_000
 """Limit on values of YAML once its aliases are expanded ("billion laughs")."""
 
 _LONGEST_HEADER = 10_000  # bytes
+_MOST_BYTES = 4 << 30  # of a file that is read as a whole; a sparse one takes no place on the disk
 _MOST_PACKED = 1100  # times as large as its compressed bytes; deflate packs 1032 into one
 
 
@@ -54,8 +55,16 @@ def open_file(path: Path | str) -> BinaryIO:
 
 
 def read_file(path: Path | str) -> bytes:
-    """The content of a regular file."""
+    """The content of a regular file.
+
+    Raises
+    ------
+    OSError
+        As for :func:`open_file`; or no sweep, image or table is as large.
+    """
     with open_file(path) as stream:
+        if (size := os.fstat(stream.fileno()).st_size) > _MOST_BYTES:
+            raise OSError(errno.EFBIG, f"it has {size / 1e9:,.0f} GB", str(path))
         return stream.read()
 
 

@@ -106,7 +106,7 @@ def refine_poor(
         f"the poses do not fit the sweeps: points lie {before:.3f} m from where they were {apart} "
         "sweeps before"
     )
-    if shaken > _SHAKES:
+    if shaken > _SHAKES and before <= _POOR:
         misfits += f", and each pose is {shaken:.3f} m off along the way by itself"
     better = _BETTER_IF_SHAKEN if shaken > _SHAKES else _BETTER
     if found or after is None or after > min(_POOR, better * before):
