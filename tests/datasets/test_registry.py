@@ -97,3 +97,9 @@ def open_dataset_fails(path: Path) -> str:
 def test_a_capture_in_capitals(tmp_path: Path) -> None:
     (tmp_path / "DRIVE.PCAP").touch()
     assert "is no recording that docdepth reads" not in open_dataset_fails(tmp_path / "DRIVE.PCAP")
+
+
+@pytest.mark.parametrize(("name", "tool"), [("a.osf", "ouster-cli"), ("a.PCAPNG", "editcap")])
+def test_captures_of_other_kinds_are_to_be_converted(tmp_path: Path, name: str, tool: str) -> None:
+    (tmp_path / name).touch()
+    assert f"write one by {tool}" in open_dataset_fails(tmp_path / name)
