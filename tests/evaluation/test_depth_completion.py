@@ -40,6 +40,15 @@ def test_images_without_a_true_map_are_not_compared(finished, drive, annotated, 
     assert same.all == result.all
 
 
+def test_the_drive_is_found_in_the_whole_of_the_data(finished, drive, annotated, tmp_path):
+    expected = evaluate_depth(finished[0], annotated).all
+    for part in ("train", "val"):
+        whole = tmp_path / f"annotated_{part}"
+        shutil.copytree(annotated, whole / part / drive.name)
+        assert evaluate_depth(finished[0], whole).all == expected
+    assert evaluate_depth(finished[0], whole / part).all == expected
+
+
 def test_an_annotated_drive_of_other_images(finished, annotated):
     folder = annotated / "proj_depth" / "groundtruth" / "image_2"
     for file in folder.iterdir():

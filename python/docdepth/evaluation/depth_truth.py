@@ -70,8 +70,9 @@ class DepthTruth:
     Parameters
     ----------
     folder : Path
-        Folder of depth maps in any format, beside which ``class_2`` may mark what moves; or a drive
-        of KITTI's depth completion, or ``val_selection_cropped``, which hold maps of some images.
+        Folder of depth maps in any format, beside which ``class_2`` may mark what moves; or
+        KITTI's depth completion, the whole of it or one drive, or its ``val_selection_cropped``,
+        which hold maps of some images.
     depth_folder : str
         Of the camera, in ``depth/`` of the run.
 
@@ -93,9 +94,11 @@ class DepthTruth:
         self._K, self._below = calibration.K, below_horizon(calibration, T_camera_lidar)
         self._layers = run.path / "layers" / depth_folder
         self._intrinsics: str | None = None
+        drive = (run.recording_path or run.path).name
+        of_drive = (folder / part / drive for part in ("", "train", "val"))
+        folder = next((path for path in of_drive if (path / INSIDE).is_dir()), folder)
         self.folder = folder
         if (folder / _SELECTION).is_dir():
-            drive = (run.recording_path or run.path).name
             self._intrinsics = f"{drive}_image_{{}}_{camera}.txt"
             start, end = f"{drive}_{_SELECTION}_", f"_{camera}"
             found = maps_in(folder / _SELECTION)
