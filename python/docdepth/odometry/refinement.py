@@ -106,11 +106,14 @@ def refine_poor(
         f"the poses do not fit the sweeps: points lie {before:.3f} m from where they were {apart} "
         "sweeps before"
     )
-    if shaken > _SHAKES and before <= _POOR:
+    if shaken > _SHAKES and before <= MISFIT:
         misfits += f", and each pose is {shaken:.3f} m off along the way by itself"
     better = _BETTER_IF_SHAKEN if shaken > _SHAKES else _BETTER
-    if found or after is None or after > min(_POOR, better * before):
-        if before <= _POOR:
+    if found or after is None or after > min(MISFIT, better * before):
+        # What fits worse than the given poses cannot judge them: along a motorway 16 beams find
+        # 0.17 m where exact poses have 0.09.
+        unable = not found and after is not None and before <= min(after, MISFIT)
+        if before <= _POOR or (unable and shaken <= _SHAKES):
             return poses, []
         text = f"{misfits}; registration finds no poses that fit, so these are kept"
         remedy = "labels and depth may be wrong; bring others, or none (`poses`)"
