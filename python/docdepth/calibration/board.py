@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 
 from docdepth.errors import ConfigError
 
+PATTERNS = ("checkerboard", "charuco", "circles")
+"""What is on a board: circles lie in rows and columns, and are dark on a light ground."""
+
 _SQUARE_BOARD = 0.03  # of its side; sides that differ by less cannot be told apart in a sweep
 
 
 @dataclass(frozen=True)
 class Board:
-    """A flat rectangle with a checkerboard in its middle.
+    """A flat rectangle with a checkerboard, or another pattern, in its middle.
 
     The frame of the board has its origin in the centre of the front, x along the columns of
     corners, y along the rows, z away from the viewer.
@@ -23,11 +26,13 @@ class Board:
     Attributes
     ----------
     columns, rows : int
-        Inner corners along x and along y.
+        Inner corners along x and along y; of circles their centres.
     square : float
-        Side of a square [m].
+        Side of a square, or distance of the centres of circles [m].
     width, height : float
         Outline along x and along y [m].
+    pattern : str
+        One of :data:`PATTERNS`.
     """
 
     columns: int
@@ -35,6 +40,7 @@ class Board:
     square: float
     width: float
     height: float
+    pattern: str = PATTERNS[0]
 
     def __post_init__(self) -> None:
         if min(self.columns, self.rows) < 3 or self.square <= 0:
@@ -92,7 +98,7 @@ class Board:
         return np.asarray(outside + np.minimum(np.maximum(x, y), 0.0))
 
 
-def parse_board(corners: str, square: float, size: str) -> Board:
+def parse_board(corners: str, square: float, size: str, pattern: str = PATTERNS[0]) -> Board:
     """A board from ``COLUMNSxROWS`` and ``WIDTHxHEIGHT`` in metres."""
     counts = re.fullmatch(r"(\d{1,3})x(\d{1,3})", corners.strip().lower())
     sides = re.fullmatch(r"(\d*\.?\d+)x(\d*\.?\d+)", size.strip().lower())
@@ -100,4 +106,4 @@ def parse_board(corners: str, square: float, size: str) -> Board:
         raise ConfigError(f"corners {corners!r} must be COLUMNSxROWS inner corners, such as 5x7")
     if sides is None:
         raise ConfigError(f"board {size!r} must be WIDTHxHEIGHT in metres, such as 0.841x1.189")
-    return Board(int(counts[1]), int(counts[2]), square, float(sides[1]), float(sides[2]))
+    return Board(int(counts[1]), int(counts[2]), square, float(sides[1]), float(sides[2]), pattern)

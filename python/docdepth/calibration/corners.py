@@ -1,4 +1,4 @@
-"""The checkerboard in images: corners to a fraction of a pixel, and the board's pose."""
+"""The board in images: corners to a fraction of a pixel, and the board's pose."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ _MARKERS = (
     cv2.aruco.DICT_APRILTAG_36H11, cv2.aruco.DICT_4X4_1000, cv2.aruco.DICT_5X5_1000,
     cv2.aruco.DICT_6X6_1000,
 )  # fmt: skip
+_MARKER_SIDE = 0.75  # of a square; others are found as well
 _FEWEST_MARKERS = 4  # a stain may look like one
 
 
@@ -33,6 +34,37 @@ def find_corners(image: NDArray[np.uint8], board: Board, thorough: bool = True) 
     after half a turn.
     """
     gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+    find = {"charuco": _charuco_corners, "circles": _circles}.get(board.pattern)
+    corners = find(gray, board) if find else _checkerboard_corners(gray, board, thorough)
+    if corners is None:
+        return None
+    grid = np.asarray(corners, np.float64).reshape(board.rows, board.columns, 2)
+    return (grid if _right_handed(grid) else grid[:, ::-1]).reshape(-1, 2)
+
+
+def _circles(gray: NDArray[np.uint8], board: Board) -> NDArray[np.float32] | None:
+    """Centres of a grid of circles."""
+    found, centres = cv2.findCirclesGrid(gray, (board.columns, board.rows))
+    return centres if found else None
+
+
+def _charuco_corners(gray: NDArray[np.uint8], board: Board) -> NDArray[np.float32] | None:
+    """Corners of a ChArUco board of any dictionary, if all are seen."""
+    squares = (board.columns + 1, board.rows + 1)
+    for known in _MARKERS:
+        for is_old in (False, True):  # before OpenCV 4.6 boards of even rows began with a marker
+            dictionary = cv2.aruco.getPredefinedDictionary(known)
+            charuco = cv2.aruco.CharucoBoard(squares, 1.0, _MARKER_SIDE, dictionary)
+            charuco.setLegacyPattern(is_old)
+            corners, ids, _, _ = cv2.aruco.CharucoDetector(charuco).detectBoard(gray)
+            if ids is not None and len(ids) == board.columns * board.rows:
+                return np.asarray(corners, np.float32)[np.argsort(ids.ravel())]
+    return None
+
+
+def _checkerboard_corners(
+    gray: NDArray[np.uint8], board: Board, thorough: bool
+) -> NDArray[np.float32] | None:
     found, corners = cv2.findChessboardCornersSB(
         gray, (board.columns, board.rows), _SUBPIXEL if thorough else cv2.CALIB_CB_ACCURACY
     )
@@ -42,10 +74,7 @@ def find_corners(image: NDArray[np.uint8], board: Board, thorough: bool = True) 
         # Noise and sharpening hide corners from this search.
         smooth = cv2.GaussianBlur(gray, (0, 0), _SMOOTH)
         found, corners = cv2.findChessboardCornersSB(smooth, (board.columns, board.rows), _SUBPIXEL)
-    if not found:
-        return None
-    grid = np.asarray(corners, np.float64).reshape(board.rows, board.columns, 2)
-    return (grid if _right_handed(grid) else grid[:, ::-1]).reshape(-1, 2)
+    return np.asarray(corners, np.float32) if found else None
 
 
 def counted_corners(image: NDArray[np.uint8], board: Board, found: bool) -> tuple[int, int] | None:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.calibration.board import Board
+from docdepth.calibration.board import PATTERNS, Board
 from docdepth.calibration.calibrate import BoardPair
 from docdepth.calibration.corners import counted_corners, find_corners, shows_markers
 from docdepth.calibration.find import FEWEST_BOARDS
@@ -184,14 +184,16 @@ def _check_count(
     stream: ImageStream, together: Sequence[tuple[int, int]], board: Board, found: bool
 ) -> None:
     """Refuse images of a checkerboard with more corners, or fewer if it was not found."""
+    if board.pattern != PATTERNS[0]:
+        return
     few = np.linspace(0, len(together) - 1, min(len(together), _COUNTED)).astype(int)
     for k in np.unique(few).tolist():
         image = stream.images[together[k][0]]
         pixels = read_image_of(image)
         if not found and shows_markers(pixels):
             raise CalibrationError(
-                f"{image} shows markers, as of an AprilGrid or a ChArUco board; docdepth "
-                "calibrates by plain checkerboards alone",
+                f"{image} shows markers: a ChArUco board needs its name (`pattern`), and by an "
+                "AprilGrid docdepth does not calibrate",
                 code="other-target",
             )
         count = counted_corners(pixels, board, found)

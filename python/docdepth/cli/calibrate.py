@@ -36,6 +36,14 @@ _Board = Annotated[
         "WxH",
     ),
 ]
+_Pattern = Annotated[
+    str | None,
+    option(
+        "What is on the board: checkerboard (if absent), charuco, or circles in rows and columns. "
+        "Of circles their centres are counted, and the side of a square is their distance.",
+        **one_of(("checkerboard", "charuco", "circles")),
+    ),
+]
 _Output = Annotated[
     Path | None,
     option(
@@ -85,6 +93,7 @@ def calibrate(
     ] = None,
     square: Annotated[float | None, option("Side of a square, metres.", "M")] = None,
     board: _Board = None,
+    pattern: _Pattern = None,
     output: _Output = None,
     time: _Time = False,
     dataset: DatasetName = None,
@@ -104,7 +113,7 @@ def calibrate(
       docdepth calibrate RUN --time -o times
       docdepth calibrate boards/ --corners 5x7 --square 0.095 --board 0.61x0.85 -o calibration
     """
-    of_boards = (corners, square, board, dataset, frames, lens, box)
+    of_boards = (corners, square, board, pattern, dataset, frames, lens, box)
     if time or (recording / "run.yaml").is_file():
         if any(one is not None for one in of_boards):
             raise ConfigError("a run takes --camera, --time, -o and --json; leave the others out")
@@ -113,13 +122,14 @@ def calibrate(
         return _fit_cameras(recording, camera, output, as_json)
     if corners is None or square is None or board is None or output is None:
         raise ConfigError("a checkerboard needs --corners, --square, --board and -o")
-    from docdepth.calibration.board import parse_board
+    from docdepth.calibration.board import PATTERNS, parse_board
     from docdepth.calibration.calibrate import calibrate as calibrate_pairs
     from docdepth.calibration.lens import Lens
     from docdepth.calibration.pairs import board_pairs
     from docdepth.calibration.result import quality_of, write_result
 
-    target, boxes = parse_board(corners, square, board), _boxes(box)
+    target = parse_board(corners, square, board, pattern or PATTERNS[0])
+    boxes = _boxes(box)
     drive = open_dataset(recording, dataset, frames=frames)
     stream = _stream(drive, camera)
     if any(image.parent.resolve() == output.resolve() for image in stream.images):
