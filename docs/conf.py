@@ -24,7 +24,13 @@ CHAPTERS = {
         "notebooks/README",
     ),
     "Look up": ("docs/python", "docs/parameters", "docs/formats"),
-    "Understand": ("docs/method", "docs/architecture", "docs/accuracy", "benchmarks/RESULTS"),
+    "Understand": (
+        "docs/method",
+        "docs/architecture",
+        "docs/accuracy",
+        "docs/comparison",
+        "benchmarks/RESULTS",
+    ),
     "Decisions": (
         "docs/adr/README",
         *(f"docs/adr/{page.stem}" for page in sorted((ROOT / "docs/adr").glob("0*.md"))),
