@@ -12,7 +12,7 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.se3 import poses_from, rotation_exp
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.atomic import write_atomically
+from docdepth.io.atomic import write_atomically, write_output
 from docdepth.io.calibration import write_calibration
 from docdepth.io.frames import read_frame, read_trajectory, write_frame, write_trajectory
 from docdepth.io.inputs import RunInputs
@@ -67,6 +67,17 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
         write_atomically(path, full_disk)
     assert path.read_bytes() == b"whole"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_of_another_content_is_kept_though_it_is_as_long(tmp_path):
+    path = tmp_path / "calib.json"
+    path.write_bytes(b"mine")
+    for _ in range(2):  # what docdepth wrote itself is no other content
+        write_output(path, lambda stream: stream.write(b"ours"))
+        assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == {
+            "calib.json": b"ours",
+            "calib.json.old": b"mine",
+        }
 
 
 def test_another_run_is_not_overwritten(tmp_path):
