@@ -164,6 +164,7 @@ def find(
 
     Returns
     -------
+    observations : list of Observation
     start : Solution
         K of the images alone and the extrinsic of planes alone, for the bundle.
     not_used : dict of str to str

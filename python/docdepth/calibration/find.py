@@ -80,6 +80,7 @@ def find_boards(
 
     Returns
     -------
+    observations : list of Observation
     T_lidar_camera : ndarray of float64, shape (4, 4)
         From planes alone.
     not_used : dict of str to str

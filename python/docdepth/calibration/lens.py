@@ -96,6 +96,7 @@ def estimate_lens(
 
     Returns
     -------
+    lens : Lens
     error : float
         Root mean square of the corners' errors [px].
     """

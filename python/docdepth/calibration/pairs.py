@@ -50,6 +50,7 @@ def board_pairs(
 
     Returns
     -------
+    pairs : list of BoardPair
     size : (int, int)
         Width and height of the images in pixels.
     """

@@ -69,6 +69,7 @@ def check_sweeps(
     -------
     sweeps : dict of int to Sweep
         Those that could be read, by index.
+    findings : list of Finding
     """
     sizes = np.array([_size(of_sweep[0]) if of_sweep else 0 for of_sweep in files], np.int64)
     found = [*_check_period(recording, has_poses), *_check_sizes(files, sizes)]

@@ -117,6 +117,7 @@ def read_pcd(path: Path) -> tuple[NDArray[Any], PcdHeader]:
     -------
     structured ndarray, shape (n,)
         A field for each field of the file.
+    PcdHeader
 
     Raises
     ------

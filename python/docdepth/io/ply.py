@@ -111,6 +111,7 @@ def read_vertices(path: Path) -> tuple[NDArray[Any], list[str]]:
     -------
     structured ndarray, shape (n,)
         A field for each property, in the byte order of the machine.
+    list of str
     """
     try:
         with open_file(Path(path)) as stream:
