@@ -25,7 +25,7 @@ from docdepth.cli import (  # noqa: F401
     synth,
     tune,
 )
-from docdepth.cli.failures import STOPPED, report
+from docdepth.cli.failures import STOPPED, print_error
 from docdepth.cli.options import Quiet, Verbose
 from docdepth.cli.terminal import app, out, print_any_path, set_volume
 
@@ -117,5 +117,5 @@ def main() -> None:
         if code == STOPPED:  # typer has taken the KeyboardInterrupt
             raise KeyboardInterrupt
     except (Exception, KeyboardInterrupt) as error:
-        code = report(error)
+        code = print_error(error)
     sys.exit(code)

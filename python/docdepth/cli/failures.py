@@ -72,7 +72,7 @@ def explain(error: BaseException) -> str | None:
     return None
 
 
-def report(error: BaseException) -> int:
+def print_error(error: BaseException) -> int:
     """Print what went wrong, and return the exit code."""
     sentence = explain(error)
     code = MISTAKE if sentence is not None else BUG
