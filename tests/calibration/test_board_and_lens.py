@@ -101,6 +101,10 @@ def test_corners_are_found_to_a_fraction_of_a_pixel():
         exact = corners_of(T_lidar_board)
         exact = exact if np.abs(found - exact).max() < 5 else exact[::-1]
         assert np.sqrt(np.mean((found - exact) ** 2)) < 0.2
+    # Of a camera on its side: no corner changes its place on the board.
+    found = find_corners(np.rot90(image, -1).copy(), BOARD)
+    turned = np.stack([len(image) - 1 - exact[:, 1], exact[:, 0]], axis=1)
+    assert min(np.abs(found - turned).max(), np.abs(found - turned[::-1]).max()) < 1
     assert counted_corners(image, replace(BOARD, columns=5, rows=7, square=0.1), False) == (4, 6)
     less = replace(BOARD, columns=3, rows=5)
     assert find_corners(image, less) is not None, "a part of the board"

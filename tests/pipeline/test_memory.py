@@ -83,6 +83,9 @@ def test_a_budget_shortens_chunks_of_ground_or_says_what_is_needed(drive: Path) 
     fits = within_memory("2G", long, [], values)
     assert 50 <= fits.ground.chunk_length < values.ground.chunk_length
     assert memory_of_run(120_000, 5000, [], fits) <= 2e9
+    longest: Any = type("Long", (), {"__len__": lambda _: 500_000, "sweep": lambda _, k: points})()
+    fits = within_memory("2.5G", longest, [], values)  # half a gigabyte is of what a sweep leaves
+    assert 2.3e9 < memory_of_run(120_000, 500_000, [], fits) <= 2.5e9
     with pytest.raises(ConfigError, match=r"`memory='1G'`: the run needs 1\.\d\d GB by estimate"):
         within_memory("1G", long, [], values)
     with pytest.raises(ConfigError, match="or fewer `jobs`"):
