@@ -56,7 +56,15 @@ def test_one_box(tmp_path):
 
 @pytest.mark.parametrize("what", ["kitti_odometry", PCD])
 @pytest.mark.parametrize(
-    "wrong", [3, [[1, 2]], [[[2, 1], [0, 1], [0, 1]]], [[[0, 2000], [0, 1], [0, 1]]], [["a"] * 6]]
+    "wrong",
+    [
+        3,
+        [[1, 2]],
+        [[[2, 1], [0, 1], [0, 1]]],
+        [[[0, 2000], [0, 1], [0, 1]]],
+        [["a"] * 6],
+        1001 * BOXES[:1],
+    ],
 )
 def test_what_is_no_box(what, wrong, tmp_path):
     path = WRITERS[what][1](tmp_path).path

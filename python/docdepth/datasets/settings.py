@@ -28,6 +28,7 @@ from docdepth.datasets.point_times import Instant, Unit
 from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.geometry.camera import Camera, camera_of
 from docdepth.geometry.se3 import check_rigid, if_mirrored, nearest_rigid
+from docdepth.io.inputs import MOST_BOXES
 from docdepth.io.poses import read_poses_at
 from docdepth.io.untrusted import parse_yaml
 
@@ -137,7 +138,9 @@ class RecordingSettings(Strict):
         a bag: odometry, poses, a path, or transforms.
     """
 
-    ego_boxes: Annotated[list[Numbers] | None, BeforeValidator(_boxes)] = None
+    ego_boxes: Annotated[
+        list[Numbers] | None, Field(max_length=MOST_BOXES), BeforeValidator(_boxes)
+    ] = None
     masks: dict[str, str | list[tuple[float, float]]] = Field(default_factory=dict)
     motion_compensated: bool | None = None
     sensor_origin: tuple[float, float, float] | None = None

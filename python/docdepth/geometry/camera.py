@@ -15,6 +15,7 @@ from docdepth.geometry.points import ShortRepr, float_array
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
 
+_WIDEST = 1 << 20  # pixels of a row or column; OpenCV reads no larger image
 _FOCAL = 1e-6, 1e6
 """Between which focal lengths lie [pixel]."""
 
@@ -68,6 +69,8 @@ class Camera(ShortRepr):
             )
         if width < 1 or height < 1:
             raise CalibrationError(f"image size {width} x {height} is empty")
+        if max(width, height) > _WIDEST:
+            raise CalibrationError(f"image size {width} x {height} is that of no image")
         if not (0 <= K[0, 2] < width and 0 <= K[1, 2] < height):
             raise CalibrationError(
                 f"the principal point ({K[0, 2]:.1f}, {K[1, 2]:.1f}) lies outside the "

@@ -20,6 +20,8 @@ Interval = tuple[float, float]
 Box = tuple[Interval, Interval, Interval]
 """Least and greatest x, y and z, metres in the LiDAR frame."""
 
+MOST_BOXES = 1000  # around a vehicle; each is looked for in each sweep
+
 
 class Checked(BaseModel):
     """A frozen model whose mistakes are errors of docdepth."""
@@ -230,7 +232,7 @@ class DerivedInputs(Checked):
     """
 
     up: Point | None = None
-    ego_boxes: tuple[Box, ...] | None = None
+    ego_boxes: Annotated[tuple[Box, ...], Field(max_length=MOST_BOXES)] | None = None
     sensor_origin: Point | tuple[Point, ...] | None = None
     turn: Turn | None = None
     skipped: SkippedFrames | None = None
