@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from docdepth.config import OdometryParameters
 from docdepth.errors import Finding
-from docdepth.geometry.se3 import nearest_rotation
+from docdepth.geometry.se3 import nearest_rotation, se3_exp, se3_log
 from docdepth.geometry.trajectory import parts_of
 from docdepth.odometry.deskewing import centred_motion
 from docdepth.odometry.passes import register
@@ -95,6 +95,8 @@ def refine_poor(
     refined = poses.copy()
     for part in parts_of(sweeps.times):
         rows, path = slice(part.start, part.stop), poses[part.start : part.stop]
+        if shaken > _SHAKES:
+            path = _steadied(path, sweeps.times[rows])
         for log in logs(part):  # one pass leaves errors of the motion that deskewed the sweeps
             try:
                 path = _registered(SweepPart(sweeps, part), path, parameters, threads, log, found)
@@ -139,6 +141,16 @@ def _registered(
     first = centred_motion(path, sweeps.times, [0])[0]
     states = register(sweeps, parameters, first, lambda _: path, threads, log, found)
     return np.stack(list(smoothed(states)))
+
+
+def _steadied(poses: NDArray[np.float64], times: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Poses (n, 4, 4) by the mean motion around each: the step between two has errors of both."""
+    shares = np.diff(times) / np.median(np.diff(times)) if len(times) > 1 else ()
+    path = [poses[0]]
+    for motion, share in zip(centred_motion(poses, times)[1:], shares, strict=True):
+        omega, velocity = se3_log(motion)
+        path.append(path[-1] @ se3_exp(share * omega, share * velocity))
+    return np.stack(path)
 
 
 def _laid_on(poses: NDArray[np.float64], path: NDArray[np.float64]) -> NDArray[np.float64]:
