@@ -141,7 +141,7 @@ def test_poses_that_are_no_rotations_but_mirrors(tmp_path: Path) -> None:
     poses = right_poses()
     poses[:, :3, 1] *= -1
     write_kitti(tmp_path / "poses.txt", poses)
-    with pytest.raises(OdometryError, match=r"frame 0 .* mirror image .* left-handed"):
+    with pytest.raises(OdometryError, match=r"frame 0 .* mirrors .* left-handed"):
         read_poses(tmp_path / "poses.txt")
 
 
