@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
@@ -75,7 +75,7 @@ class OdometryParameters(_Stage):
     )
 
     @model_validator(mode="after")
-    def _some_points(self) -> Self:
+    def _some_points(self) -> OdometryParameters:
         if self.min_range >= self.max_range:
             raise ValueError(
                 f"odometry.min_range = {self.min_range:g} m must be below odometry.max_range = "
@@ -192,7 +192,7 @@ class DynamicsParameters(_Stage):
         return window
 
     @model_validator(mode="after")
-    def _some_key_frames(self) -> Self:
+    def _some_key_frames(self) -> DynamicsParameters:
         check_key_frames("fine", self.fine_spacing, self.fine_radius)
         check_key_frames("coarse", self.coarse_spacing, self.coarse_radius)
         return self
