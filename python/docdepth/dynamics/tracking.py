@@ -54,6 +54,9 @@ _PAIRS = 200_000
 MAX_POROUS_SHARE = 0.2
 """Where more of the places that were found free are porous, what no track follows stands [-]."""
 
+MIN_DYNAMIC_SHARE = 0.5
+"""Where less of what was found free is dynamic, what no track follows stands [-]."""
+
 MIN_FREE_RATIO = 2
 """Ground that no track follows moves only where more than so many times as many key frames found
 its place free as occupied [-]. A whole car may be taken for ground; but of the ground itself, seen
@@ -278,11 +281,11 @@ def withdraw_untracked(
     votes: Votes,
     porous: NDArray[np.bool_],
 ) -> NDArray[np.uint16]:
-    """Make points stand that no track follows: those among porous things, and doubtful ground.
+    """Make points stand that no track follows: those of porous things, and doubtful ground.
 
     Rays hit and pass fences and twigs in turn, and each sweep hits other parts of them, of which
     some seem to have been free. What is around these tells: where many places that were found free
-    are porous, a point that seems to move is none that moves.
+    are porous, or most of them stand, a point that seems to move does not.
 
     Parameters
     ----------
@@ -302,18 +305,21 @@ def withdraw_untracked(
     """
     left = ~ground & (votes.dynamic > 0)
     cells, cell = np.unique(_cell_keys(points[left]), return_inverse=True)
-    counts = np.stack([np.bincount(cell, w, minlength=len(cells)) for w in (None, porous[left])])
+    of_each = None, porous[left], classid[left] >= DYNAMIC
+    counts = np.stack([np.bincount(cell, of, minlength=len(cells)) for of in of_each])
     rows = np.flatnonzero(untracked)
-    around = np.zeros((2, len(rows)))
+    around = np.zeros((3, len(rows)))
     if len(cells):
         here = _cell_keys(points[rows])
         for step in itertools.product((-1, 0, 1), repeat=3):
             there = here + _cell_keys(np.array([step], np.float32) * _CELL)
             at = np.minimum(np.searchsorted(cells, there), len(cells) - 1)
             around += np.where(cells[at] == there, counts[:, at], 0)
-    among_porous = around[1] > MAX_POROUS_SHARE * around[0]
+    free, free_porous, free_dynamic = around
+    among_porous = free_porous > MAX_POROUS_SHARE * free
+    among_static = free_dynamic < MIN_DYNAMIC_SHARE * free
     is_clear = votes.dynamic[rows] > MIN_FREE_RATIO * votes.static[rows].astype(np.int64)
-    stands = rows[among_porous | (ground[rows] & ~is_clear)]
+    stands = rows[among_porous | among_static | (ground[rows] & ~is_clear)]
     classid = classid.copy()
     classid[stands] = np.where(ground[stands], GROUND, STATIC)
     return classid
