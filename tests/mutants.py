@@ -21,12 +21,12 @@ SOURCES = "cpp/docdepth", "python/docdepth"
 FAULTS = {
     "tests/dynamics/test_tracking.py tests/dynamics/test_track_paths.py": [
         # matching and tracks
-        "match.shift, kept) {{< ~ >}} options_.min_kept_share",
+        "-match.shift, track) {{>= ~ <}} kMinMemberShare",
         "if (share {{< ~ >}} options_.min_share)",
         "{{< ~ >}}= kGate * kGate",
         "- state.time) {{> ~ <}} gap + kTimeTolerance",
         "place.where.width() {{> ~ <}}= kMinEgoPath",
-        "object.area {{> ~ <}} kFragmentShare",
+        "object.transient_share() {{< ~ >}} kTogetherShare * share",
         # paths
         "facing.dot(model.normals[index]) {{< ~ >}} 0",
         "filtered[k], predicted[k{{ + 1 ~ }}])",

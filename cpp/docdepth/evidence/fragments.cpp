@@ -5,7 +5,6 @@
 #include <cstddef>
 #include <utility>
 
-#include "docdepth/detections/quantile.hpp"
 #include "docdepth/geometry/box_tree.hpp"
 #include "docdepth/tracking/constants.hpp"
 
@@ -14,10 +13,8 @@ namespace {
 
 using Vector = Eigen::Vector3f;
 
-/// A track is a fragment of a vehicle if it lies in it in this share of the sweeps that saw both,
+/// A track is a fragment of a vehicle if it touches it in this share of the sweeps that saw both.
 constexpr float kFragmentShare = 0.8f;
-/// and goes as fast but for this [m/s]: what few returns of a piece say of its speed.
-constexpr float kFragmentSpeed = 3;
 /// Nothing else stays in the outline of a vehicle, or so near to its side [m],
 constexpr float kFragmentGap = 0.25f;
 /// while it goes so far [m].
@@ -50,12 +47,10 @@ RelativePlace place_of(const TrackPath& fragment, const TrackPath& vehicle, doub
       .beside = along && off.y() < half.y() + its.y() + kFragmentGap && width <= kMaxVehicleWidth};
 }
 
-/// Whether a track is a fragment of a vehicle, while both are known: it touches it and goes as
-/// fast, or it stays where the vehicle is while that goes on. Few returns of a piece do not say how
-/// fast it is.
+/// Whether a track is a fragment of a vehicle, while both are known: it touches it, or it stays
+/// where the vehicle is while that goes on. Few returns of a piece do not say how fast it is.
 bool is_fragment(const TrackPath& vehicle, const ObjectTrack& fragment,
                  const std::vector<double>& times, int min_detections) {
-  std::vector<float> speeds;
   std::vector<Eigen::Vector3d> path;  // of the vehicle
   int touching = 0, inside = 0, beside = 0;
   for (const TrackObservation& seen : fragment.track.observations) {
@@ -65,17 +60,12 @@ bool is_fragment(const TrackPath& vehicle, const ObjectTrack& fragment,
     touching += place.touches;
     inside += place.inside;
     beside += place.beside;
-    speeds.push_back(float((vehicle.velocity(time) - fragment.path.velocity(time)).norm()));
     path.push_back(vehicle.pose(time).translation());
   }
-  if (int(speeds.size()) < min_detections) return false;
-  const auto most = [&](int count) {
-    return float(count) >= kFragmentShare * float(speeds.size());
-  };
-  const bool is_as_fast = quantile(speeds, 0.5) < kFragmentSpeed;
-  if (most(touching) && is_as_fast) return true;
-  if ((path.back() - path.front()).norm() < kFragmentPath) return false;
-  return most(inside) || (most(beside) && is_as_fast);
+  if (int(path.size()) < min_detections) return false;
+  const auto most = [&](int count) { return float(count) >= kFragmentShare * float(path.size()); };
+  if (most(touching)) return true;
+  return (path.back() - path.front()).norm() >= kFragmentPath && (most(inside) || most(beside));
 }
 
 float total_area(const Track& track) {
@@ -103,7 +93,7 @@ std::vector<std::size_t> find_vehicles(const std::vector<ObjectTrack>& objects,
       const auto& [track, path] = objects[other];
       const bool larger = areas[other] > areas[k] || (areas[other] == areas[k] && other < k);
       if (!larger || areas[other] <= areas[vehicles[k]] ||
-          !(is_vehicle(path) || is_rear_of_vehicle(path) || is_side_of_vehicle(objects[other])) ||
+          !(is_vehicle(path) || is_rear_of_vehicle(path)) ||
           times[track.observations.front().sweep] >
               times[mine.back().sweep] + options.max_gap_standing ||
           times[mine.front().sweep] >

@@ -20,17 +20,11 @@ constexpr float kSurelyTransientShare = 0.99f;
 /// Of what moves alone at most this share is porous: 0.13 on drives of which the truth is known,
 /// where it is 0.52 and more of fences that seem to move.
 constexpr float kMaxPorousShare = 1 / 3.0f;
-/// Vehicles that follow each other closely have a larger one, on KITTI as well. But nearly all of
-/// their area is transient, 0.95 and more,
-constexpr float kMinQueueTransientShare = 0.9f;
-/// and this share was free before or after: 0.18 and more, where of pieces of fences that seem
-/// transient as a whole it is at most 0.08.
-constexpr float kMinQueueFreeShare = 0.13f;
-/// What is as large as a car, goes so many times its length, and once its length while transient,
-/// is no fence, even where other vehicles hide that its place was free: lorries that follow each
-/// other do. A smaller piece of a hedge may seem to move along with the LiDAR.
+/// What is as long as a car [m], goes so many times its length, and once its length while
+/// transient, is no fence, even where other vehicles hide that its place was free: lorries that
+/// follow each other do. A shorter piece of a hedge may seem to move along with the LiDAR.
+constexpr float kMinCarLength = 2.5f;
 constexpr float kFarLengths = 3;
-constexpr float kMinCarLength = 2.5f, kMinCarHeight = 1;  // metres
 /// An object that is never seen to move stands where for so long [s] this share of it was free, in
 /// the mean.
 constexpr double kFreeWindow = 2;
@@ -38,13 +32,6 @@ constexpr float kMeanFreeShare = 0.4f;
 /// A vehicle is at least this wide from any side, and this high [m].
 constexpr float kMinVehicleWidth = 0.5f;
 constexpr float kMinVehicleHeight = 0.6f;
-/// Objects higher than this are vegetation unless they travel farther than their length [m]: trams
-/// are lower.
-constexpr float kMaxVehicleHeight = 5;
-/// Longer than a motorcycle with its rider [m].
-constexpr float kMinRailLength = 2.5f;
-/// Crash barriers are no higher [m].
-constexpr float kMaxRailHeight = 1.2f;
 
 /// Whether for a while much of it was found where nothing was before or after.
 bool appears(const std::vector<TrackObservation>& seen, const std::vector<double>& times,
@@ -65,12 +52,6 @@ bool appears(const std::vector<TrackObservation>& seen, const std::vector<double
   return false;
 }
 
-/// Whether it is higher than anything that drives, and does not go anywhere: a tree.
-bool sways(const TrackPath& path) {
-  const Eigen::Vector3f size = path.extent().size();
-  return size.z() > kMaxVehicleHeight && path.distance() < size.head<2>().maxCoeff();
-}
-
 /// Whether enough of it is transient while its path moves. A fence of which each sweep hits other
 /// slats seems to go along with the LiDAR, but its slats were occupied before and after.
 bool is_transient_while_moving(const ObjectTrack& object, const std::vector<double>& times) {
@@ -86,33 +67,17 @@ bool is_transient_while_moving(const ObjectTrack& object, const std::vector<doub
 }
 
 /// Whether rays hit and passed much of it in turn, sooner than road users follow each other: a
-/// fence or a twig of which each sweep hits another part. Of vehicles in a queue that is so, too,
-/// but nearly all of their places are mostly free, and some before the first or after the last one.
+/// fence or a twig of which each sweep hits another part.
 bool is_porous(const Track& track) {
-  float area = 0, porous_area = 0, transient_area = 0, free_area = 0;
+  float area = 0, porous_area = 0;
   for (const TrackObservation& seen : track.observations) {
     area += seen.area;
     porous_area += seen.porous_area;
-    transient_area += seen.transient_area;
-    free_area += seen.free_area;
   }
-  const bool in_queue =
-      transient_area >= kMinQueueTransientShare * area && free_area >= kMinQueueFreeShare * area;
-  return porous_area > kMaxPorousShare * area && !in_queue;
-}
-
-bool is_thin(const TrackPath& path) {
-  const Eigen::Vector3f size = path.extent().size();
-  return path.is_rigid() && size.x() >= kMinRailLength && size.y() < kMinVehicleWidth;
+  return porous_area > kMaxPorousShare * area;
 }
 
 }  // namespace
-
-bool is_side_of_vehicle(const ObjectTrack& object) {
-  const auto& [track, path] = object;
-  return is_thin(path) && path.extent().size().z() >= kMaxRailHeight &&
-         2 * track.transient_count >= int(track.observations.size());
-}
 
 bool is_rear_of_vehicle(const TrackPath& path) {
   const Eigen::Vector3f size = path.extent().size();
@@ -120,12 +85,10 @@ bool is_rear_of_vehicle(const TrackPath& path) {
          size.z() >= kMinVehicleHeight;
 }
 
-bool is_rail(const ObjectTrack& object) {
-  return is_thin(object.path) && !is_side_of_vehicle(object);
-}
-
-bool is_low_rail(const ObjectTrack& object) {
-  return is_rail(object) && object.path.extent().size().z() < kMinVehicleHeight;
+bool is_rail(const TrackPath& path) {
+  const Eigen::Vector3f size = path.extent().size();
+  return path.is_rigid() && size.x() >= kMinCarLength && size.y() < kMinVehicleWidth &&
+         size.z() < kMinVehicleHeight;
 }
 
 bool is_vehicle(const TrackPath& path) {
@@ -135,16 +98,15 @@ bool is_vehicle(const TrackPath& path) {
 }
 
 bool drives_far(const TrackPath& path) {
-  const Eigen::Vector3f size = path.extent().size();
-  return path.is_rigid() && size.x() >= kMinCarLength && size.y() >= kMinRigidWidth &&
-         size.z() >= kMinCarHeight && path.distance() >= kFarLengths * size.x() &&
-         path.transient_distance() >= size.x();
+  const float length = path.extent().size().x();
+  return is_vehicle(path) && length >= kMinCarLength && path.distance() >= kFarLengths * length &&
+         path.transient_distance() >= length;
 }
 
 bool moves(const ObjectTrack& object, const std::vector<double>& times,
            const TrackingOptions& options) {
   const auto& [track, path] = object;
-  if (track.transient_count < options.min_detections || sways(path)) return false;
+  if (track.transient_count < options.min_detections) return false;
   const bool goes = path.distance() >= options.min_distance &&
                     path.transient_distance() >= kMinVotedDistanceShare * options.min_distance;
   if (goes && drives_far(path)) return true;

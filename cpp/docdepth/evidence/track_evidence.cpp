@@ -16,20 +16,6 @@ using Vector = Eigen::Vector3f;
 
 /// Of an object that was always there edges seem free, at most this share of its area.
 constexpr float kFreeEdges = 0.15f;
-/// Narrower objects are static [m]: poles.
-constexpr float kMinTrackedWidth = 0.3f;
-/// How much rounding may move a box [m].
-constexpr float kRoundingMargin = 0.1f;
-/// A track supports as much static area as was transient in one sweep, or in all sweeps together
-/// divided by this.
-constexpr float kTotalSupportDivisor = 8;
-/// An object surely was at a place that is closer than so many standard deviations.
-constexpr double kSureDeviations = 2;
-/// A place belongs to another vehicle if this share of an object would lie in its box: in a queue
-/// they stand where others stood.
-constexpr float kQueueShare = 0.25f;
-/// Longer than any van [m]: where its rear stands its front was long before.
-constexpr float kMinLongVehicle = 8;
 
 }  // namespace
 
@@ -39,19 +25,15 @@ TrackEvidence::TrackEvidence(ObjectTrack object, std::uint32_t number,
       number_(number),
       options_(options),
       sweeps_(int(times.size())),
-      is_rail_(is_rail(object_)),
       drives_far_(drives_far(object_.path)),
-      is_vehicle_((is_vehicle(object_.path) && object_.path.is_wide_while_transient()) ||
-                  is_side_of_vehicle(object_)) {
+      is_vehicle_(is_vehicle(object_.path) && object_.path.is_wide_while_transient()) {
   const auto& observations = object_.track.observations;
-  float total = 0;
   for (const TrackObservation& seen : observations) {
     stamps_.push_back(times[seen.sweep]);
-    total += seen.transient_area;
-    supported_ = std::max(supported_, seen.transient_area);
+    // Of a vehicle each sweep may show another part, of a person each shows about half.
+    supported_ =
+        is_vehicle_ ? supported_ + seen.transient_area : std::max(supported_, seen.transient_area);
   }
-  // Of a vehicle each sweep may show another part, of a person each shows about half.
-  if (is_vehicle_) supported_ = std::max(supported_, total / kTotalSupportDivisor);
   seen_to_move_ = is_seen_to_move();
   const auto is_unsure = [&](std::size_t k) { return object_.path.deviation(k) > kSamePlace; };
   std::size_t first = 0, end = observations.size();
@@ -77,9 +59,9 @@ bool TrackEvidence::covers(double time) const {
 }
 
 std::optional<Extent> TrackEvidence::reach(double time) const {
-  if (is_rail_ || !is_known_) return std::nullopt;
+  if (!is_known_) return std::nullopt;
   const double known = std::clamp(time, first_.time, last_.time);
-  return object_.path.box(known).extent(kSearchMargin + kRoundingMargin);
+  return object_.path.box(known).extent(kSearchMargin);
 }
 
 /// Whether it moved while the votes called it dynamic.
@@ -96,10 +78,8 @@ bool TrackEvidence::is_seen_to_move() const {
   return most >= options_.min_distance;
 }
 
-bool TrackEvidence::makes_dynamic(double time, const Detection& object, bool is_member,
-                                  const std::vector<TrackedSweep>& tracked) {
-  if (is_rail_) return false;
-  if (object.dynamic_points == object.points || object.box.width() < kMinTrackedWidth) return false;
+bool TrackEvidence::makes_dynamic(double time, const Detection& object, bool is_member) {
+  if (object.dynamic_points == object.points) return false;
   if (object.area - object.dynamic_area > supported_) return false;
   if (!is_known_) return is_member && object.was_free();
   // Before and after the places that are known the object stands at the first or the last of them.
@@ -109,8 +89,8 @@ bool TrackEvidence::makes_dynamic(double time, const Detection& object, bool is_
   if (is_elsewhere) return is_member && object.was_free();
   const double known = std::clamp(time, first_.time, last_.time);
   if (known == time && drives_over(object, time)) return true;
-  if (is_member) return was_free(object, known, tracked);
-  if (!lies_there(object, known, kSearchMargin) || !was_free(object, known, tracked)) return false;
+  if (is_member) return was_free(object, known);
+  if (!lies_there(object, known, kSearchMargin) || !was_free(object, known)) return false;
   // Before it is first seen, and after it is last seen, something else may stand there.
   if (known != time &&
       was_less_free(object, occupancy_at(object_.path.pose(known).translation()).free_share))
@@ -136,8 +116,7 @@ bool TrackEvidence::are_apart(double time, const Detection& object, const Detect
 
 TrackEvidence::KnownPlace TrackEvidence::place_of(std::size_t observation) const {
   return {.time = stamps_[observation],
-          .deviation = object_.path.deviation(observation),
-          .extent = object_.path.box(stamps_[observation]).extent(kSearchMargin + kRoundingMargin)};
+          .extent = object_.path.box(stamps_[observation]).extent(kSearchMargin)};
 }
 
 bool TrackEvidence::lies_there(const Detection& object, double time, float margin) const {
@@ -157,10 +136,8 @@ bool TrackEvidence::drives_over(const Detection& object, double time) const {
 }
 
 /// Whether the place of a detection was free before or after: by its own votes, or as it was
-/// occupied only while the object stood there, which came or left. In a queue other vehicles stood
-/// there before or after.
-bool TrackEvidence::was_free(const Detection& object, double time,
-                             const std::vector<TrackedSweep>& tracked) {
+/// occupied only while the object stood there, which came or left.
+bool TrackEvidence::was_free(const Detection& object, double time) {
   if (object.was_free()) return true;
   // Where a person stops, some of his place was seen free before. A bin beside him was not, though
   // a narrow view may see it only from then on.
@@ -169,8 +146,7 @@ bool TrackEvidence::was_free(const Detection& object, double time,
   const Occupancy& occupancy = occupancy_at(object_.path.pose(time).translation());
   const int count = seen_to_move_ ? occupancy.free_count : occupancy.transient_count;
   const bool free = occupancy.free_share >= kFreeEdges && count >= options_.min_detections;
-  const bool came = is_vehicle_ && seen_to_move_;
-  if (!free && !came) return false;
+  if (!free && !(is_vehicle_ && seen_to_move_)) return false;
   // Something may have hidden most of what was always there, so it is enough if a quarter of it was
   // known before the object came. Far away few rays tell that, and some are wrong: where more than
   // edges was seen free, half is needed.
@@ -178,37 +154,15 @@ bool TrackEvidence::was_free(const Detection& object, double time,
                                   ? std::pair(object.first_occupied, object.last_occupied)
                                   : std::pair(object.stands_since, object.stands_until);
   const double share = was_partly_free ? 0.5 : kStandingShare;
-  const auto is_of_vehicle_in = [&](std::int32_t sweep) {
-    return came && is_of_vehicle(object, tracked[std::size_t(sweep)]);
-  };
-  return (since >= first_over(object, occupancy, share) ||
-          is_of_vehicle_in(object.first_occupied)) &&
-         (until <= last_over(object, occupancy, share) || is_of_vehicle_in(object.last_occupied));
-}
-
-/// Whether much of the place of a detection belongs to a vehicle that moves, in a sweep: another
-/// one, or the front of this one, if it is long.
-bool TrackEvidence::is_of_vehicle(const Detection& object, const TrackedSweep& sweep) const {
-  const auto& samples = object.samples();
-  const bool is_long = object_.path.extent().size().x() >= kMinLongVehicle;
-  const Vector middle = 0.5f * (object.box.low + object.box.high);
-  const float radius = 0.5f * object.box.size().norm() + kRoundingMargin;
-  return std::any_of(sweep.boxes.begin(), sweep.boxes.end(), [&](const TrackedBox& of) {
-    const auto inside = [&](const Vector& p) { return of.box.contains(p, kSearchMargin); };
-    return (is_long || of.track != number_) &&
-           2 * of.box.half.head<2>().maxCoeff() >= kMinRigidWidth &&
-           of.box.contains(middle, kSearchMargin + radius) &&  // far faster to test
-           std::count_if(samples.begin(), samples.end(), inside) >=
-               kQueueShare * float(samples.size());
-  });
+  return since >= first_over(object, occupancy, share) &&
+         until <= last_over(object, occupancy, share);
 }
 
 const TrackEvidence::Occupancy& TrackEvidence::occupancy_at(const Eigen::Vector3d& place) {
   for (const Occupancy& occupancy : occupancies_)
     if ((occupancy.place - place).norm() <= kSamePlace / 2) return occupancy;
   const auto is_there = [&](const KnownPlace& known) {
-    const double off = (object_.path.pose(known.time).translation() - place).norm();
-    return off <= kSamePlace + kSureDeviations * known.deviation;
+    return (object_.path.pose(known.time).translation() - place).norm() <= kSamePlace;
   };
   Occupancy occupancy{.place = place, .from_begin = is_there(first_), .to_end = is_there(last_)};
   int count = 0;

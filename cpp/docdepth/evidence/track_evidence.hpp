@@ -34,9 +34,7 @@ class TrackEvidence {
   /// Whether the track makes a detection dynamic.
   /// @param time       of its sweep [s]
   /// @param is_member  whether the track was followed through the detection
-  /// @param tracked    of all sweeps, with the boxes of all tracks
-  bool makes_dynamic(double time, const Detection& object, bool is_member,
-                     const std::vector<TrackedSweep>& tracked);
+  bool makes_dynamic(double time, const Detection& object, bool is_member);
 
   /// Whether a detection is none of the object of which another one shows most: less of its place
   /// was free before or after, and both together are wider than any vehicle. So a parked car beside
@@ -46,8 +44,8 @@ class TrackEvidence {
  private:
   /// Where it is when its place is known for the first or last time.
   struct KnownPlace {
-    double time = 0, deviation = 0;  ///< [s], [m]
-    Extent extent{};                 ///< around all that lies in its box, and a little more
+    double time = 0;  ///< [s]
+    Extent extent{};  ///< around all that lies in its box, and a little more
   };
   /// What the votes tell of the object while it is at a place.
   struct Occupancy {
@@ -62,8 +60,7 @@ class TrackEvidence {
   bool is_seen_to_move() const;
   bool drives_over(const Detection& object, double time) const;
   bool lies_there(const Detection& object, double time, float margin) const;
-  bool was_free(const Detection& object, double time, const std::vector<TrackedSweep>& tracked);
-  bool is_of_vehicle(const Detection& object, const TrackedSweep& sweep) const;
+  bool was_free(const Detection& object, double time);
   const Occupancy& occupancy_at(const Eigen::Vector3d& place);
   int first_over(const Detection& object, const Occupancy& occupancy, double share) const;
   int last_over(const Detection& object, const Occupancy& occupancy, double share) const;
@@ -75,9 +72,8 @@ class TrackEvidence {
   TrackingOptions options_;
   std::vector<double> stamps_;  ///< of the sweep of each observation [s]
   int sweeps_;                  ///< of the drive
-  bool is_rail_;
   bool drives_far_;
-  bool is_vehicle_;      ///< or only the side of one is seen
+  bool is_vehicle_;
   bool seen_to_move_;    ///< while the votes called it dynamic
   float supported_ = 0;  ///< area of static points that the track can make dynamic
   bool is_known_ = false;

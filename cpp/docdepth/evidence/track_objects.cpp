@@ -97,10 +97,8 @@ Reach reach_of(const TrackEvidence& evidence, const std::vector<double>& times) 
 }
 
 /// The detections of some sweeps that belong to a track, in order. Sweeps are asked in order, too.
-/// @param tracked  of all sweeps, with the boxes of all tracks
 Members members_of(TrackEvidence& evidence, const Reach& within, const SweepBuffer& sweeps,
-                   std::size_t begin, const std::vector<double>& times,
-                   const std::vector<TrackedSweep>& tracked) {
+                   std::size_t begin, const std::vector<double>& times) {
   const auto& observations = evidence.object().track.observations;
   Members members;
   const std::size_t first = std::max(within.first, begin),
@@ -124,7 +122,7 @@ Members members_of(TrackEvidence& evidence, const Reach& within, const SweepBuff
     for (const auto k : near) {
       const bool is_member = is_seen && std::find(seen->objects.begin(), seen->objects.end(), k) !=
                                             seen->objects.end();
-      const bool dynamic = evidence.makes_dynamic(times[i], detections[k], is_member, tracked);
+      const bool dynamic = evidence.makes_dynamic(times[i], detections[k], is_member);
       if (!is_member && !dynamic) continue;
       found.push_back({&detections[k], dynamic});
       if (!best || detections[k].transient_area() > best->transient_area()) best = &detections[k];
@@ -283,8 +281,7 @@ class SweepTracker {
     std::vector<Boxes> boxes(evidence_.size());
     parallel_for(evidence_.size(), 1, threads, [&](std::size_t k, std::size_t) {
       const TrackEvidence& evidence = evidence_[k];
-      if (window_ > 0 && !is_rail(evidence.object()))
-        boxes[k] = boxes_of(evidence.object(), evidence.number(), times_);
+      if (window_ > 0) boxes[k] = boxes_of(evidence.object(), evidence.number(), times_);
       reach_[k] = reach_of(evidence, times_);
     });
     for (const Boxes& of : boxes)
@@ -326,7 +323,7 @@ class SweepTracker {
     std::vector<Members> members(active_.size());
     parallel_for(active_.size(), 1, threads_, [&](std::size_t n, std::size_t) {
       const std::size_t k = active_[n];
-      members[n] = members_of(evidence_[k], reach_[k], buffer_, begin, times_, result_);
+      members[n] = members_of(evidence_[k], reach_[k], buffer_, begin, times_);
     });
     for (const Members& of : members)
       for (const auto& [sweep, member] : of) result_[sweep].members.push_back(member);
@@ -405,7 +402,9 @@ std::vector<TrackedObject> track_objects(const ReadDetections& read,
     add_moving(merge_fragments(objects, times, options), part(0.85, 0.9));
   }
   // They were followed only since they may be fragments of vehicles.
-  objects.erase(std::remove_if(objects.begin(), objects.end(), is_low_rail), objects.end());
+  objects.erase(std::remove_if(objects.begin(), objects.end(),
+                               [](const ObjectTrack& of) { return is_rail(of.path); }),
+                objects.end());
   std::stable_sort(objects.begin(), objects.end(), [](const auto& a, const auto& b) {
     return a.track.observations.size() > b.track.observations.size();
   });

@@ -62,8 +62,8 @@ using TakeSweep = std::function<void(const TrackedSweep& sweep)>;
 /// object.
 ///
 /// Between its observations, and a little before and after, an object is where its motion leads.
-/// Tracks of fragments of one vehicle are merged (merge_fragments). Those of low rails are left out
-/// (is_low_rail).
+/// Tracks of fragments of one vehicle are merged (merge_fragments). Those of rails are left out
+/// (is_rail).
 ///
 /// Detections are read three times in order of time and once backward, those of merged tracks once
 /// more, and are not kept. What stays in memory are the tracks, without their surfaces.

@@ -86,10 +86,6 @@ class MatchSearch {
   }
 
  private:
-  /// How wrong a shift of what is so far away may be [m].
-  float shift_error_at(float range) const {
-    return std::max(options_.shift_error, options_.ray_spacing * range);
-  }
   SampledPoints samples_of(const Detection& object, const Vector& velocity) const {
     return at_time(object.samples(), object.surface.times, velocity, state_.offset);
   }
@@ -115,13 +111,12 @@ class MatchSearch {
 
   /// The detections onto which the samples fall, with a shift that is refined from `start`.
   Match from(const Vector& start, const TimedPoints& of_track) const {
-    const bool can_be = state_.velocity.allows(start, dt_, shift_error_at(0));
+    const bool can_be = state_.velocity.allows(start, dt_, options_.shift_error);
     const Vector velocity = can_be ? Vector(start / dt_) : state_.velocity.mean;
     const SampledPoints samples = at_time(of_track.points, of_track.times, velocity, state_.offset);
     const Extent box = extent_of(samples).moved(start);
     std::vector<std::uint32_t> near;
     std::vector<SampledPoints> samples_near;
-    float range = 0;
     SampledPoints there;
     for (const auto k : index_.near(box, kSearchMargin, velocity, state_.offset)) {
       const Detection& object = seen_[k];
@@ -129,7 +124,6 @@ class MatchSearch {
       if (!state_.velocity.is_known && !object.is_transient()) continue;
       if (!could_match(object.box, state_.largest) || is_among(object, state_.neighbors)) continue;
       near.push_back(k);
-      range = std::max(range, object.range());
       samples_near.push_back(samples_of(object, velocity));
       append(there, samples_near.back());
     }
@@ -137,7 +131,7 @@ class MatchSearch {
     match.shift = start;
     match.largest = state_.largest;
     if (!refine_shift(samples, there, match.shift)) return {};
-    match.error = shift_error_at(range);
+    match.error = options_.shift_error;
     if (!state_.velocity.allows(match.shift, dt_, match.error)) match.shift = start;
     if (!state_.velocity.allows(match.shift, dt_, match.error)) return {};
     const PointGrid track(samples);
@@ -149,10 +143,7 @@ class MatchSearch {
     match.box = seen_[match.objects[0]].box;
     SampledPoints found;
     for (const auto k : match.objects) add(seen_[k], samples_of(seen_[k], velocity), match, found);
-    // Where most of the track is not what was kept, what was dropped may be the track itself.
     const PointGrid kept(found);
-    if (matched_share(samples, match.shift, kept) < options_.min_kept_share)
-      match.neighbors.clear();
     // Together larger than one object: a pedestrian and what he walks away from.
     if (!could_match(match.box, match.largest)) return {};
     // Half of a track may be hidden, so twice its matched share counts. Of two equal matches the
@@ -170,11 +161,6 @@ class MatchSearch {
     };
     const float exact = score(exactly);
     match.score = exact + options_.near_weight * share;
-    // Two petals of a rosette see two parts of a car: the less they have in common, the less they
-    // tell how far it went.
-    if (!state_.velocity.is_known)
-      match.error =
-          std::max(match.error, options_.first_shift_error * (1 - exact) * match.shift.norm());
     return match;
   }
 
@@ -183,7 +169,6 @@ class MatchSearch {
     append(match.samples, object);
     append(found, samples);
     match.hidden |= !object.hidden.points.empty();
-    match.area += object.area;
     match.box.add(object.box);
     match.largest = match.largest.cwiseMax(object.box.size());
   }

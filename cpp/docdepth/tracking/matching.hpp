@@ -22,7 +22,6 @@ struct Match {
   Eigen::Vector3f largest = Eigen::Vector3f::Zero();
   bool hidden = false;  ///< partly, by something nearer
   float error = 0;      ///< how wrong the shift may be [m]
-  float area = 0;       ///< of its objects
   SampledPoints neighbors;
 };
 
@@ -35,15 +34,8 @@ struct MatchOptions {
   float near_weight = 0.1f;
   /// Two objects match if the product of their matched shares is at least this.
   float min_share = 0.4f;
-  /// What is told apart is remembered if this share of the track lies on what is kept.
-  float min_kept_share = 0.5f;
-  /// How wrong a shift may be [m];
+  /// How wrong a shift may be [m].
   float shift_error = 0.15f;
-  /// far away as much as rays are apart [rad]: 0.3 degrees.
-  float ray_spacing = 0.005f;
-  /// The first shift of a track may be wrong by this share of itself if the two sweeps show no
-  /// common part of the object.
-  float first_shift_error = 0.3f;
 };
 
 /// The best match of a track in a sweep: the detections onto which its samples fall.

@@ -9,20 +9,15 @@
 namespace docdepth {
 namespace {
 
-/// Smaller parts of a match than this share of the area of another one are its fragments.
-constexpr float kFragmentShare = 0.25f;
 /// Two parts belong together if their transient shares differ by less than this factor.
 constexpr float kTogetherShare = 0.35f;
-/// Of fewer points that should be transient, a share says nothing.
-constexpr float kMinExpectedPoints = 5;
 /// So many directions are tried for the width of things.
 constexpr int kWidthDirections = 18;
 
-/// Whether the place of a detection was less free than that of another one which is not much
-/// larger, and the votes tell that it was there before or stayed after.
+/// Whether the place of a detection was less free than that of another one, and the votes tell that
+/// it was there before or stayed after.
 bool was_there_before(const Detection& object, const Detection& other) {
-  return object.area > kFragmentShare * other.area &&
-         was_less_free(object, other.transient_share()) &&
+  return was_less_free(object, other.transient_share()) &&
          (other.is_transient() || object.first_occupied < other.first_occupied ||
           object.last_occupied > other.last_occupied);
 }
@@ -46,8 +41,7 @@ bool are_too_wide(std::initializer_list<const SampledPoints*> things) {
 }
 
 bool was_less_free(const Detection& object, float share) {
-  return share * float(object.points) >= kMinExpectedPoints &&
-         object.transient_share() < kTogetherShare * share;
+  return object.transient_share() < kTogetherShare * share;
 }
 
 SampledPoints drop_neighbors(const Detections& seen, std::vector<std::uint32_t>& objects) {

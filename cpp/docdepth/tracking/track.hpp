@@ -120,7 +120,6 @@ struct TrackState {
   float offset = 0;  ///< mean time of what was seen last, after the stamp [s]
   VelocityEstimate velocity{};
   RoadGrade grade{};
-  float area = 0;             ///< that was seen of it when it was not partly hidden
   SampledPoints neighbors{};  ///< of what touched it but is none of it, where these stand
 
   /// Take the samples of two observations, at `offset` as fast as the shift between them says, the

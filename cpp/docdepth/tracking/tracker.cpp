@@ -21,8 +21,6 @@ constexpr std::size_t kMinSamples = 5;
 /// What was seen once may be anywhere that max_speed reaches, so it is looked for in so many sweeps
 /// only: with each one there are more places, and parked cars in some of them.
 constexpr std::size_t kMaxSweepsUnknown = 3;
-/// Less than this share of an object's area is a part of it.
-constexpr float kPartialShare = 0.5f;
 /// What touches a track but is none of it is kept as at most this many samples.
 constexpr std::size_t kMaxNeighborSamples = 300;
 
@@ -101,8 +99,7 @@ class Tracker {
                        .last = samples,
                        .largest = seen.box.size(),
                        .time = times_[sweep],
-                       .offset = seen.time_offset,
-                       .area = seen.area});
+                       .offset = seen.time_offset});
     active_.back().grade.add(times_[sweep], seen.ground);
   }
 
@@ -157,14 +154,12 @@ class Tracker {
 
   void advance(TrackState& state, const Match& match, const TrackObservation& observation) const {
     // What hides an object now may go away: all is kept that was seen of it.
-    const bool partial = match.hidden || match.area < kPartialShare * state.area;
     const bool stands = state.velocity.stands();
     const double dt = times_[observation.sweep] - state.time;
     state.velocity.add(match.shift, dt, match.error);
-    if (!partial) state.area = match.area;
     state.offset = float(observation.time_offset);
-    state.set_samples(partial || stands ? state.samples : state.last, match.samples, match.shift,
-                      dt);
+    state.set_samples(match.hidden || stands ? state.samples : state.last, match.samples,
+                      match.shift, dt);
     state.time = times_[observation.sweep];
     state.sweep = observation.sweep;
     state.grade.add(state.time, observation.ground);
@@ -221,8 +216,7 @@ class Tracker {
                      .last = samples_of(seen[0]),
                      .largest = seen[0].box.size(),
                      .time = times_[seen[0].sweep],
-                     .offset = float(seen[0].time_offset),
-                     .area = seen[0].area};
+                     .offset = float(seen[0].time_offset)};
     for (const TrackObservation& of : seen) state.largest = state.largest.cwiseMax(of.box.size());
     for (std::size_t k = seen.size(); k-- > 0;)
       state.grade.add(times_[seen[k].sweep], seen[k].ground);

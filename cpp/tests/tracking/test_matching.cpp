@@ -16,7 +16,6 @@ TrackState state_of(const Detection& seen) {
   TrackState state;
   state.samples = state.last = samples;
   state.largest = seen.box.size();
-  state.area = seen.area;
   return state;
 }
 
@@ -77,7 +76,6 @@ TEST_CASE("an object goes on where its samples fall") {
     CHECK((found.shift - Eigen::Vector3f(float(x), float(y), 0)).norm() < 0.2f);
     CHECK(found.score > 0.8f);
     CHECK(!found.hidden);
-    CHECK(found.area == doctest::Approx(10'000));
     CHECK(found.largest.x() == doctest::Approx(4.4f));
   }
 }
@@ -124,36 +122,6 @@ TEST_CASE("together the parts are no larger than the object ever looked") {
   CHECK(!could(6.51f, 1, 1));
   CHECK(!could(1, 3.51f, 1));
   CHECK(!could(1, 1, 2.76f));
-}
-
-TEST_CASE("a shift is known as well as rays are dense") {
-  Detection far = exact::detection(exact::box(pose_at(1, 0)), 1, 60);
-  CHECK(match({far}, velocity(10)).error == doctest::Approx(0.3f));
-  CHECK(match({car_at(1, 0)}, velocity(10)).error == doctest::Approx(0.15f));
-}
-
-TEST_CASE("what was dropped is remembered as a neighbor unless most of the track lies on it") {
-  // A rear that came, and a side beside it that was always there: one object until now.
-  const auto kept_neighbors = [](float rear_length) {
-    TimedSurface rear, side;
-    exact::add_side(pose_at(0, 0), {0, 0, 0}, {rear_length, 0, 0}, {0, 0, 1}, {0, -1, 0}, rear);
-    exact::add_side(pose_at(0, 0), {rear_length + 0.2f, 0, 0}, {4 - rear_length, 0, 0}, {0, 0, 1},
-                    {0, -1, 0}, side);
-    Detection came = exact::detection(rear, 0.7f), stood = exact::detection(side, 0);
-    came.first_occupied = 25;
-    TimedSurface both = rear;
-    for (std::size_t i = 0; i < side.points.size(); ++i)
-      both.add(side.points[i], side.normals[i], 0);
-    TrackState state = state_of(exact::detection(both, 1));
-    state.velocity = velocity(0);
-    const Detections seen{came, stood};
-    const auto is_free = [](std::uint32_t) { return true; };
-    const Match found = find_match(state, DetectionIndex(seen), is_free, 0.1, {});
-    CHECK(found.objects == Rows{0});
-    return found.neighbors.size();
-  };
-  CHECK(kept_neighbors(2.6f) > 0);
-  CHECK(kept_neighbors(1.2f) == 0);
 }
 
 TEST_CASE("a small piece of what was seen is no continuation alone") {

@@ -55,9 +55,6 @@ TEST_CASE("what was there before an object came is a neighbor") {
   CHECK(with(100, 0.02f, 25, 149) == Rows{1});     // it stays
   CHECK(with(100, 0.02f, 30, 130) == Rows{0, 1});  // a part that was not looked at before
   CHECK(with(100, 0.2f, 5, 130) == Rows{0, 1});    // as free
-  CHECK(with(10, 0.0f, 5, 130) == Rows{0, 1});     // a small piece
-  // Few points say nothing: 2 of 10 should be free, and none is.
-  CHECK(kept({detection(behind, 10, 0, 5, 130), detection(car, 10, 0.2f, 25, 130)}) == Rows{0, 1});
   // What was mostly free tells it alone.
   CHECK(kept({detection(behind, 100, 0.1f, 25, 130), detection(car, 90, 0.6f, 25, 130)}) ==
         Rows{1});

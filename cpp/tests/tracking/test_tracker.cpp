@@ -179,6 +179,7 @@ TEST_CASE("of a car that is hidden in part all is kept that was seen of it") {
     }
     const std::uint32_t points = k < 3 ? 100 : k == 4 ? 10 : 30;
     seen.push_back(exact::detection(part, 1, 10, points));
+    if (k >= 3) seen.back().hidden.add({0.5f * float(k), -0.9f, 1}, 0);
   });
   REQUIRE(found.size() == 1);
   CHECK(found[0].observations.size() == 8);
