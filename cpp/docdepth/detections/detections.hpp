@@ -55,6 +55,7 @@ struct Detection {
   float transient_share() const { return transient_area() / area; }
   /// Whether it is here for a while only, as far as the votes tell.
   bool is_transient() const { return is_dynamic() || was_free(); }
+  float range() const { return std::sqrt(area / float(points)); }  ///< of its points [m]
   const SampledPoints& samples() const { return surface.points; }
 };
 

@@ -86,6 +86,10 @@ class MatchSearch {
   }
 
  private:
+  /// How wrong a shift of what is so far away may be [m].
+  float shift_error_at(float range) const {
+    return std::max(options_.shift_error, options_.ray_spacing * range);
+  }
   SampledPoints samples_of(const Detection& object, const Vector& velocity) const {
     return at_time(object.samples(), object.surface.times, velocity, state_.offset);
   }
@@ -111,12 +115,13 @@ class MatchSearch {
 
   /// The detections onto which the samples fall, with a shift that is refined from `start`.
   Match from(const Vector& start, const TimedPoints& of_track) const {
-    const bool can_be = state_.velocity.allows(start, dt_, options_.shift_error);
+    const bool can_be = state_.velocity.allows(start, dt_, shift_error_at(0));
     const Vector velocity = can_be ? Vector(start / dt_) : state_.velocity.mean;
     const SampledPoints samples = at_time(of_track.points, of_track.times, velocity, state_.offset);
     const Extent box = extent_of(samples).moved(start);
     std::vector<std::uint32_t> near;
     std::vector<SampledPoints> samples_near;
+    float range = 0;
     SampledPoints there;
     for (const auto k : index_.near(box, kSearchMargin, velocity, state_.offset)) {
       const Detection& object = seen_[k];
@@ -124,6 +129,7 @@ class MatchSearch {
       if (!state_.velocity.is_known && !object.is_transient()) continue;
       if (!could_match(object.box, state_.largest) || is_among(object, state_.neighbors)) continue;
       near.push_back(k);
+      range = std::max(range, object.range());
       samples_near.push_back(samples_of(object, velocity));
       append(there, samples_near.back());
     }
@@ -131,7 +137,7 @@ class MatchSearch {
     match.shift = start;
     match.largest = state_.largest;
     if (!refine_shift(samples, there, match.shift)) return {};
-    match.error = options_.shift_error;
+    match.error = shift_error_at(range);
     if (!state_.velocity.allows(match.shift, dt_, match.error)) match.shift = start;
     if (!state_.velocity.allows(match.shift, dt_, match.error)) return {};
     const PointGrid track(samples);

@@ -34,8 +34,10 @@ struct MatchOptions {
   float near_weight = 0.1f;
   /// Two objects match if the product of their matched shares is at least this.
   float min_share = 0.4f;
-  /// How wrong a shift may be [m].
+  /// How wrong a shift may be [m];
   float shift_error = 0.15f;
+  /// far away as much as rays are apart [rad]: 0.3 degrees.
+  float ray_spacing = 0.005f;
 };
 
 /// The best match of a track in a sweep: the detections onto which its samples fall.

@@ -82,6 +82,7 @@ TEST_CASE("each board is an object, with what is known of its points") {
   CHECK(near.dynamic_area / near.area == doctest::Approx(10 / 21.0).epsilon(0.05));
   CHECK(near.porous_area / near.area == doctest::Approx(5 / 21.0).epsilon(0.05));
   CHECK(far.porous_area == 0);
+  CHECK(far.range() == doctest::Approx(12.6).epsilon(0.05));
   CHECK(near.time_offset == doctest::Approx(0.02f));
   CHECK(far.first_occupied == 7);
   CHECK(far.last_occupied == 30);

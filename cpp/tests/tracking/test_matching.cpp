@@ -124,6 +124,12 @@ TEST_CASE("together the parts are no larger than the object ever looked") {
   CHECK(!could(1, 1, 2.76f));
 }
 
+TEST_CASE("a shift is known as well as rays are dense") {
+  Detection far = exact::detection(exact::box(pose_at(1, 0)), 1, 60);
+  CHECK(match({far}, velocity(10)).error == doctest::Approx(0.3f));
+  CHECK(match({car_at(1, 0)}, velocity(10)).error == doctest::Approx(0.15f));
+}
+
 TEST_CASE("a small piece of what was seen is no continuation alone") {
   const auto score = [](float length) {
     TimedSurface side;

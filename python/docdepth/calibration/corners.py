@@ -21,7 +21,7 @@ _MARKERS = (
     cv2.aruco.DICT_APRILTAG_36H11, cv2.aruco.DICT_4X4_1000, cv2.aruco.DICT_5X5_1000,
     cv2.aruco.DICT_6X6_1000,
 )  # fmt: skip
-_MARKER_SIDE = 0.75  # of a square; others are found as well
+_MARKER_SIDE = 0.75  # of a square; boards of 0.5 to 0.8 are found
 _FEWEST_MARKERS = 4  # a stain may look like one
 
 
@@ -49,7 +49,7 @@ def _circles(gray: NDArray[np.uint8], board: Board) -> NDArray[np.float32] | Non
 
 
 def _charuco_corners(gray: NDArray[np.uint8], board: Board) -> NDArray[np.float32] | None:
-    """Corners of a ChArUco board of any dictionary, if all are seen."""
+    """Corners of a ChArUco board of one of ``_MARKERS``, if all are seen."""
     squares = (board.columns + 1, board.rows + 1)
     for known in _MARKERS:
         for is_old in (False, True):  # before OpenCV 4.6 boards of even rows began with a marker
