@@ -9,7 +9,7 @@ namespace docdepth {
 
 /// Take out the tracks that are fragments of one vehicle, and merge them: a lorry seen in front of
 /// and behind a pole, its wheels, what each petal of a rosette shows of a car. Two solid things
-/// that go as fast cannot lie in each other.
+/// cannot lie in each other.
 /// @return the merged tracks, without paths; the others stay
 std::vector<Track> merge_fragments(std::vector<ObjectTrack>& objects,
                                    const std::vector<double>& times,

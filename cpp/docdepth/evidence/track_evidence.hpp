@@ -7,7 +7,6 @@
 #include <vector>
 
 #include "docdepth/evidence/object_track.hpp"
-#include "docdepth/evidence/track_objects.hpp"
 
 namespace docdepth {
 

@@ -193,8 +193,7 @@ def _check_count(
         pixels = read_image_of(image)
         if not found and shows_markers(pixels):
             raise CalibrationError(
-                f"{image} shows markers: a ChArUco board needs its name (`pattern`), and by an "
-                "AprilGrid docdepth does not calibrate",
+                f"{image} shows markers. A ChArUco board needs `pattern`; AprilGrids are not read",
                 code="other-target",
             )
         count = counted_corners(pixels, board, found)

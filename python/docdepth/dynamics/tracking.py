@@ -135,13 +135,13 @@ def track_objects(
 
     A track is cut where the surfaces say that it went on with another object. Where a rigid object
     is at a time follows from its surfaces, registered onto each other; so a car that has stopped
-    stands. How high it is follows from the ground around it. Tracks that touch a vehicle and go as
-    fast, or stay within it while it goes on, are parts of it, and joined with it.
+    stands. How high it is follows from the ground around it. Tracks that touch a vehicle all the
+    while, or stay within it while it goes on, are parts of it, and joined with it.
 
     Where a track adds an object, the place must have been observed free before or after, or been
     occupied only while the tracked object stood there; otherwise it is another one: a parked car
     that was passed, a pole, a wall. It may also not show more of its surface than was seen to move
-    at once; of a vehicle, an eighth of all that was. A pedestrian who touches a parked car is
+    at once; of a vehicle, than in all sweeps together. A pedestrian who touches a parked car is
     merged with it for some sweeps: what is as wide as a vehicle only while little of it is
     transient is none.
 
