@@ -156,6 +156,18 @@ def test_the_map_has_these_colours_and_laspy_opens_it(
     assert np.array_equal(np.asarray(las.classification) == 2, static.classid == 0)
 
 
+def test_without_laspy_the_map_says_what_is_left_out(
+    images: RunImages,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setattr("docdepth.export.colored_map.find_spec", lambda name: None)
+    export(images.run, tmp_path / "map", "map")
+    assert [file.name for file in (tmp_path / "map").iterdir()] == ["map.ply"]
+    assert "docdepth[clouds]" in caplog.text
+
+
 def test_colmap_sees_the_points_where_they_are(images: RunImages, model: Path) -> None:
     pycolmap = pytest.importorskip("pycolmap")
     found = pycolmap.Reconstruction(model / "sparse" / "0")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from docdepth.export.posed_images import Colors, photos, write_bytes
 from docdepth.geometry.points import STATIC
 from docdepth.io.ply import write_vertices
 from docdepth.pipeline.run_reader import Run
+
+log = logging.getLogger(__name__)
 
 _ROW = np.dtype(
     [(n, "<f8") for n in "xyz"]
@@ -56,4 +59,6 @@ def write_colored_map(run: Run, output: Path, progress: Progress = null_progress
         stream = io.BytesIO()
         las.write(stream, do_compress=True)
         write_bytes(output / "map.laz", stream.getvalue())
+    else:
+        log.warning("map.laz is left out: it needs pip install 'docdepth[clouds]'")
     return len(rows)
