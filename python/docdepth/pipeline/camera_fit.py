@@ -22,7 +22,7 @@ from docdepth.pipeline.render import report
 
 log = logging.getLogger(__name__)
 
-_VERSION = 4  # counted up when the same images ask for another change
+_VERSION = 5  # counted up when the same images ask for another change
 FITTED_IMAGES = 40
 """Images to which a camera is fitted, evenly along the path."""
 
