@@ -242,7 +242,7 @@ def edges_of_images(
         T_camera_world = stream.T_camera_lidar @ inverse(poses[k])
         moving = pixels_of_tracks(tracks, int(times[k]), T_camera_world, stream.camera)
         images.append(image)
-        edges.append(edges_of_map(depth(indices[k]), moving))
+        edges.append(edges_of_map(depth(indices[k]), moving, float(stream.camera.K[1, 1])))
         motions.append(_motion(trajectory, int(times[k]), stream))
         progress("camera", done, len(chosen))
     return RunEdges(run, stream, [stream.names[indices[k]] for k in chosen], images, edges, motions)

@@ -25,10 +25,10 @@ _NOISE = 0.03  # change of brightness from pixel to pixel; brightness is a squar
 # Where depth maps jump from one surface to another farther away.
 _JUMP = (0.5, 0.15)  # metres, and share of the depth, that the farther surface lies behind
 _DEPTHS = (3.0, 50.0)  # metres; nearer is the vehicle, farther returns are too sparse
-_CREST = 0.003
-"""Growth of depth from pixel to pixel, over depth, beyond which an upper or lower edge is a crest
-that is seen at a grazing angle, 65 degrees by common cameras. Its last beam lies below it, along a
-bank of grass in all images alike, which once seemed to be 0.6 degrees."""
+_CREST = 2.0
+"""Tangent of the angle at which an upper or lower edge is a crest seen at a grazing angle [-]. Its
+last beam lies below it, along a bank of grass in all images alike: once it seemed to be 0.6 degrees
+of calibration."""
 _SMOOTH = 2.0  # pixels over which the direction of an edge is found
 _STEEP = 0.7  # part of the direction along rows or columns of the pair of pixels
 _LONG = 15  # pixels that an edge goes on
@@ -61,7 +61,9 @@ class Edges:
         return Edges(self.pixels[chosen], self.across[chosen], self.depth[chosen])
 
 
-def edges_of_map(depth: NDArray[np.float32], moving: NDArray[np.bool_] | None = None) -> Edges:
+def edges_of_map(
+    depth: NDArray[np.float32], moving: NDArray[np.bool_] | None = None, focal: float = 700.0
+) -> Edges:
     """Depth edges between neighbouring pixels, at most 2000 evenly chosen.
 
     Both sides are three pixels wide at least, and an edge goes on for fifteen: a mesh fence, or
@@ -73,6 +75,8 @@ def edges_of_map(depth: NDArray[np.float32], moving: NDArray[np.bool_] | None = 
         Metres; NaN = none. The edge of what has depth is no depth edge.
     moving : ndarray of bool, shape (h, w), optional
         Pixels that do not count.
+    focal : float
+        Of the camera [px].
     """
     known = np.isfinite(depth)
     share = cv2.GaussianBlur(known.astype(np.float32), (0, 0), _SMOOTH)
@@ -86,7 +90,7 @@ def edges_of_map(depth: NDArray[np.float32], moving: NDArray[np.bool_] | None = 
         if axis == 0:
             v, u = _first_of_pairs(depth, free, slope[..., 0])
         else:
-            u, v = _first_of_pairs(depth.T, free.T, slope[..., 1].T, _CREST)
+            u, v = _first_of_pairs(depth.T, free.T, slope[..., 1].T, _CREST / focal)
         places.append(np.stack([u, v, np.full(len(u), axis)], axis=1))
         mask[v, u] = 1
     _, part, boxes, _ = cv2.connectedComponentsWithStats(cv2.dilate(mask, np.ones((3, 3))))
