@@ -169,11 +169,15 @@ def test_layers_beside_depth(finished, tmp_path):
     assert "colour" in result.output
 
 
-def test_video_of_a_run(drive, finished, tmp_path, monkeypatch):
-    run = tmp_path / "run"
+@pytest.mark.parametrize("ending", ["webm", "mp4"])
+def test_video_of_a_run(drive, finished, tmp_path, monkeypatch, ending):
+    if ending == "mp4":
+        pytest.importorskip("imageio_ffmpeg")
+    call = ("video", tmp_path / "run", *(["--mp4"] if ending == "mp4" else []))
+    run, video = tmp_path / "run", tmp_path / "run" / "report" / f"video.{ending}"
     shutil.copytree(finished[0], run)
-    assert cli("video", run).exit_code == 0
-    reader = cv2.VideoCapture(str(run / "report" / "video.webm"))
+    assert cli(*call).exit_code == 0
+    reader = cv2.VideoCapture(str(video))
     names = [p.stem for p in sorted((run / "depth").glob("*.png"))]
     assert reader.get(cv2.CAP_PROP_FRAME_COUNT) == len(names)
     assert reader.get(cv2.CAP_PROP_FPS) == pytest.approx(10, abs=0.1)
@@ -185,16 +189,21 @@ def test_video_of_a_run(drive, finished, tmp_path, monkeypatch):
         assert np.abs(frame[:HEIGHT].astype(int) - image).mean() < 12
         colours = visualize.colorize(read_depth(run / "depth" / f"{name}.png"))
         assert np.abs(frame[HEIGHT:].astype(int) - colours).mean() < 12
-    before = (run / "report" / "video.webm").read_bytes()
+    before = video.read_bytes()
+    if ending == "mp4":  # as players need it: H.264 of half the colours, the index before the data
+        assert reader.get(cv2.CAP_PROP_FOURCC) == cv2.VideoWriter.fourcc(*"h264")
+        assert reader.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT) == cv2.VideoWriter.fourcc(*"I420")
+        assert before.index(b"moov") < before.index(b"mdat")
     with monkeypatch.context() as patch:  # a full disk, as OpenCV tells it: not at all
         patch.setattr(cv2.VideoWriter, "write", lambda *_: None)
-        result = cli("video", run)
+        patch.setattr("docdepth.visualization.video._H264.write", lambda *_: None)
+        result = cli(*call)
     assert result.exit_code == 2
     assert "make room" in str(result.exception)
-    assert (run / "report" / "video.webm").read_bytes() == before
+    assert video.read_bytes() == before
     assert not list(run.rglob(".video*"))
     (run / "depth" / f"{names[1]}.png").unlink()
-    assert f"depth/{names[1]}.png is missing" in str(cli("video", run).exception)
+    assert f"depth/{names[1]}.png is missing" in str(cli(*call).exception)
     assert "not of image_7" in str(cli("video", run, "--camera", "image_7").exception)
 
 

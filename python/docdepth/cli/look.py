@@ -55,6 +55,10 @@ def video(
             flags="--above",
         ),
     ] = False,
+    mp4: Annotated[
+        bool,
+        option("H.264 in an .mp4, which phones and PowerPoint play.", flags="--mp4"),
+    ] = False,
 ) -> None:
     """Write report/video.webm: each image above its depth map; or the sweeps from above."""
     folder = RunFolder.open(run)
@@ -64,9 +68,10 @@ def video(
     require(folder, "classify" if above else f"render {folder.camera_in(name)}")
     with progress_bars() as progress:
         if above:
-            path = write_video_from_above(folder, fps, progress)
+            path = write_video_from_above(folder, fps, mp4, progress)
         else:
-            path = write_video(folder, name, recorded_camera(folder, name), fps, progress)
+            stream = recorded_camera(folder, name)
+            path = write_video(folder, name, stream, fps, mp4, progress)
     say(str(path))
 
 

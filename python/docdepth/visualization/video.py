@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets.base import CameraStream
-from docdepth.errors import RunError
+from docdepth.errors import MissingExtraError, RunError
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import DESCRIPTION, described_maps, maps_in, read_depth
@@ -32,11 +33,13 @@ def write_video(
     folder: str = "",
     stream: CameraStream | None = None,
     fps: float | None = None,
+    mp4: bool = False,
     progress: Progress = null_progress,
 ) -> Path:
     """Write the depth maps of a camera to ``report/video.webm``, in order of time.
 
-    The codec is VP8: OpenCV writes it on every machine, browsers and notebooks play it.
+    The codec is VP8: OpenCV writes it on every machine, browsers and notebooks play it. With `mp4`
+    it is H.264 in ``video.mp4``, which phones and PowerPoint play, too.
 
     Parameters
     ----------
@@ -46,6 +49,8 @@ def write_video(
         The camera; its images, if available, are shown above the depth.
     fps : float, optional
         Images per second; the recorded rate if absent.
+    mp4 : bool
+        Needs ``docdepth[mp4]``.
 
     Returns
     -------
@@ -66,18 +71,19 @@ def write_video(
         for name in names:
             picture, photo = colorize(read_depth(maps[name])), photo_of(stream, name)
             both = picture if photo is None else np.vstack([photo, picture])
-            # VP8 needs even sizes.
+            # The codecs need even sizes.
             padding = (0, both.shape[0] % 2, 0, both.shape[1] % 2)
             yield np.asarray(cv2.copyMakeBorder(both, *padding, cv2.BORDER_REPLICATE), np.uint8)
 
     key = {"render": run.recorded_key(depths / DESCRIPTION).get("render", "")}
-    path, times = run.path / "report" / folder / "video.webm", [known[name][0] for name in names]
-    return _write(run, path, frames(), times, fps, key, progress)
+    path, times = run.path / "report" / folder / "video", [known[name][0] for name in names]
+    return _write(run, path, frames(), times, fps, mp4, key, progress)
 
 
 def write_video_from_above(
     run: RunFolder,
     fps: float | None = None,
+    mp4: bool = False,
     progress: Progress = null_progress,
 ) -> Path:
     """Write the sweeps from above, with classes and tracks, to ``report/above.webm``.
@@ -92,12 +98,14 @@ def write_video_from_above(
         With classified frames.
     fps : float, optional
         Sweeps per second; the recorded rate if absent.
+    mp4 : bool
+        As of :func:`write_video`.
     """
     trajectory, tracks = run.trajectory(), tracks_in(run.path)
     frames = (sweep_from_above(run, trajectory, tracks, k) for k in range(len(trajectory)))
     key = {"classify": run.stage("classify").key or ""}
-    path = run.path / "report" / "above.webm"
-    return _write(run, path, frames, trajectory.times, fps, key, progress)
+    path = run.path / "report" / "above"
+    return _write(run, path, frames, trajectory.times, fps, mp4, key, progress)
 
 
 def sweep_from_above(run: RunFolder, trajectory: Trajectory, tracks: Tracks, index: int) -> Picture:
@@ -140,21 +148,24 @@ def _write(
     frames: Iterable[Picture],
     times: Sequence[int] | NDArray[np.int64],
     fps: float | None,
+    mp4: bool,
     key: dict[str, str],
     progress: Progress,
 ) -> Path:
-    """Encode frames, one for each time [ns], to a video of a run."""
+    """Encode frames, one for each time [ns], to a video of a run; `path` lacks its ending."""
     if fps is None:
         fps = float(1e9 / np.median(np.diff(times))) if len(times) > 1 else 1.0
-    part = path.with_name(f".{path.stem}.part.webm")
+    begin, ending = (_H264, ".mp4") if mp4 else (_vp8, ".webm")
+    path = path.with_suffix(ending)
+    part = path.with_name(f".{path.stem}.part{ending}")
     path.parent.mkdir(parents=True, exist_ok=True)
-    writer: cv2.VideoWriter | None = None
+    writer: _Writer | None = None
     # OpenCV opens no path that is not UTF-8, so it gets the folder as a number.
     opened = os.open(path.parent, os.O_RDONLY)
-    named = f"/proc/self/fd/{opened}/{part.name}"
+    named = f"/proc/{os.getpid()}/fd/{opened}/{part.name}"
     try:
         for done, frame in enumerate(frames):
-            writer = writer or _writer(named, fps, frame)
+            writer = writer or begin(named, fps, frame)
             writer.write(frame)
             progress("video", done + 1, len(times))
         if writer is not None:
@@ -172,7 +183,40 @@ def _write(
     return path
 
 
-def _writer(path: str, fps: float, frame: Picture) -> cv2.VideoWriter:
+class _Writer(Protocol):
+    def write(self, frame: Picture, /) -> object: ...
+    def release(self) -> None: ...
+
+
+class _H264:
+    """An MP4 by FFmpeg, as a program of its own: OpenCV has no encoder for H.264."""
+
+    def __init__(self, path: str, fps: float, frame: Picture) -> None:
+        try:
+            from imageio_ffmpeg import write_frames
+        except ImportError as error:
+            raise MissingExtraError(
+                'MP4 needs imageio-ffmpeg: pip install "docdepth[mp4]"'
+            ) from error
+        height, width = frame.shape[:2]
+        # What players need first stands first; the sizes are even, which is all that they need.
+        self._frames = write_frames(
+            path, (width, height), "bgr24", fps=fps, codec="libx264",
+            macro_block_size=2, output_params=["-movflags", "+faststart"],
+        )  # fmt: skip
+        self._frames.send(None)
+
+    def write(self, frame: Picture, /) -> None:
+        try:
+            self._frames.send(np.ascontiguousarray(frame))
+        except OSError as error:
+            raise RunError("FFmpeg stopped early; make room on the disk and try again") from error
+
+    def release(self) -> None:
+        self._frames.close()
+
+
+def _vp8(path: str, fps: float, frame: Picture) -> cv2.VideoWriter:
     code = cv2.VideoWriter.fourcc(*"VP80")
     # OpenCV prints a warning about WebM's codec tags to standard error, though it writes the file.
     stderr, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
