@@ -1,17 +1,23 @@
 """The board as it is described, corners in images, and K from exact corners."""
 
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
+import yaml
 from boards import BOARD, LENS, T_CAMERA_LIDAR, all_poses, corners_of, picture
 
 from docdepth.calibration.board import PATTERNS, Board, parse_board
 from docdepth.calibration.corners import board_pose, counted_corners, find_corners, shows_markers
 from docdepth.calibration.lens import Lens, estimate_lens
+from docdepth.datasets.formats.bag.ros_images import camera_of
 from docdepth.errors import CalibrationError, ConfigError
+from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import rotation_exp
+from docdepth.io.calibration import write_calibration
 
 SIZE = (LENS.width, LENS.height)
 TRIALS = 4  # of a board of each kind
@@ -65,6 +71,53 @@ def test_rays_undo_the_projection():
         rays = lens.rays(lens.project(points))
         np.testing.assert_allclose(rays, points[:, :2] / points[:, 2:], atol=1e-4)
     assert np.isnan(LENS.project(-points)).all()
+
+
+def by_kalibr(text: str, points: np.ndarray) -> np.ndarray:
+    """Pixels of points of the LiDAR, by Kalibr's page of its models."""
+    camera = yaml.safe_load(text)["cam0"]
+    T, (fx, fy, cx, cy) = np.array(camera["T_cam_lidar"]), camera["intrinsics"]
+    x, y, z = T[:3, :3] @ points.T + T[:3, 3:]
+    x, y, k = x / z, y / z, camera["distortion_coeffs"]
+    if camera["distortion_model"] == "equidistant":
+        theta = np.arctan(np.hypot(x, y))
+        far = theta * (1 + sum(c * theta ** (2 * n) for n, c in enumerate(k, 1))) / np.hypot(x, y)
+        x, y = far * x, far * y
+    else:
+        assert camera["distortion_model"] == "radtan"
+        square = x * x + y * y
+        far = 1 + k[0] * square + k[1] * square**2
+        x, y = (
+            far * x + 2 * k[2] * x * y + k[3] * (square + 2 * x * x),
+            far * y + k[2] * (square + 2 * y * y) + 2 * k[3] * x * y,
+        )
+    return np.stack([fx * x + cx, fy * y + cy], axis=1)
+
+
+@pytest.mark.parametrize("model", ["pinhole", "fisheye"])
+def test_kalibr_and_ros_see_points_on_the_same_pixels(model: str, tmp_path: Path) -> None:
+    numbers = (-0.1, 0.04, 0.002, -0.001, 0.0)[: 4 if model == "fisheye" else 5]
+    lens = replace(LENS, model=model, distortion=np.array(numbers))
+    camera = Camera(lens.K, *SIZE)
+    write_calibration(tmp_path, camera, T_CAMERA_LIDAR, numbers, model, name="front")
+    points = np.random.default_rng(0).uniform((2, -1, -1), (9, 1, 1), (50, 3))
+    seen = points @ T_CAMERA_LIDAR[:3, :3].T + T_CAMERA_LIDAR[:3, 3]
+    exact = lens.project(seen)
+    found = by_kalibr((tmp_path / "camchain.yaml").read_text(), points)
+    np.testing.assert_allclose(found, exact, atol=1e-6)
+    ros = yaml.safe_load((tmp_path / "camera_info.yaml").read_text())
+    info = SimpleNamespace(
+        width=ros["image_width"], height=ros["image_height"],
+        distortion_model=ros["distortion_model"], d=ros["distortion_coefficients"]["data"],
+        **{letter: ros[f"{name}_matrix"]["data"] for letter, name in
+           (("k", "camera"), ("r", "rectification"), ("p", "projection"))},
+    )  # fmt: skip
+    taken, d, kind = camera_of(info, False, None, "ROS")
+    assert (kind, taken.width, taken.height) == (model, *SIZE)
+    np.testing.assert_allclose(Lens(kind, taken.K, np.array(d), *SIZE).project(seen), exact)
+    assert ros["projection_matrix"]["cols"] == 4
+    write_calibration(tmp_path / "more", camera, T_CAMERA_LIDAR, [0.1] * 5, name="front")
+    assert not (tmp_path / "more" / "camchain.yaml").exists()  # it has no such model
 
 
 @pytest.mark.parametrize("model", ["pinhole", "fisheye"])

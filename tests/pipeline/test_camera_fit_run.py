@@ -82,7 +82,7 @@ def test_calibrate_writes_the_camera_that_images_ask_for(
     for name in ("_FEWEST_IMAGES", "_FEWEST_EDGES"):
         monkeypatch.setattr(calibration, name, 3)
     monkeypatch.setattr(camera_error, "LEAST_PATH", 0.0)
-    for gain, wanted in ((1.0, {".jpg"}), (4.0, {".jpg", ".json", ".txt"})):
+    for gain, wanted in ((1.0, {".jpg"}), (4.0, {".jpg", ".json", ".txt", ".yaml"})):
         monkeypatch.setattr(camera_error, "fit_camera", lambda _, gain=gain: asks(gain))
         ended = cli("calibrate", finished[0], "-o", tmp_path / "fitted")
         assert ended.exit_code == 0, ended.output

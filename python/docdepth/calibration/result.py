@@ -83,14 +83,12 @@ def write_result(
     lens = found.lens
     folder.mkdir(parents=True, exist_ok=True)
     more: dict[str, object] = {
-        "camera": name,
-        "T_camera_lidar": found.T_camera_lidar.tolist(),
         "board": vars(board),
         "quality": quality_of(found),
     }
     camera = Camera(lens.K, lens.width, lens.height)
-    numbers = lens.distortion.tolist()
-    write_calibration(folder, camera, found.T_camera_lidar, numbers, lens.model, write_output, more)
+    T, numbers = found.T_camera_lidar, lens.distortion.tolist()
+    write_calibration(folder, camera, T, numbers, lens.model, write_output, more, name)
     for done, pair in enumerate(pairs, 1):
         if pair.image is not None:
             picture = points_on_image(read_image_of(pair.image), board, pair, found.solution)

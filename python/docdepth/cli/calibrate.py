@@ -179,10 +179,10 @@ def _fit_cameras(run: Path, camera: str | None, output: Path | None, as_json: bo
             _write(picture, encode_image(found.check.picture, ".jpg"))
             lines.append(f"{picture}: depth edges as they are red, where they fit green")
             if found.is_changed:
-                more: dict[str, object] = {"camera": stream.name, "fit": found.figures["fit"]}
+                more: dict[str, object] = {"fit": found.figures["fit"]}
                 write_calibration(
                     place, stream.camera, stream.T_camera_lidar, stream.distortion_coefficients,
-                    stream.model, write_output, more,
+                    stream.model, write_output, more, stream.name,
                 )  # fmt: skip
                 file = place / INTRINSICS
                 lines.append(f"with it: docdepth run RECORDING --calibration {file} -o RUN")

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import methodcaller
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from docdepth.errors import CalibrationError, InputError
@@ -22,6 +24,9 @@ INTRINSICS = "calib.json"
 
 EXTRINSICS = "calib_lidar_ref_cam.txt"
 """File of ``T_camera_lidar``, four lines of four numbers."""
+
+ROS, KALIBR = "camera_info.yaml", "camchain.yaml"
+"""The same camera as ROS's camera_calibration_parsers and Kalibr read it."""
 
 
 _Parsed = TypeVar("_Parsed")
@@ -56,8 +61,9 @@ def write_calibration(
     model: str = "pinhole",
     write_file: WriteFile = write_atomically,
     more: dict[str, object] | None = None,
+    name: str = "",
 ) -> None:
-    """Write both files.
+    """Write both files, and those of ROS and Kalibr if the camera has a name.
 
     Parameters
     ----------
@@ -72,6 +78,8 @@ def write_calibration(
         Writes each file.
     more : dict, optional
         Further entries of the first file, ready for JSON.
+    name : str
+        Of the camera.
     """
     calibration: dict[str, object] = {
         "mtx": camera.K.tolist(),
@@ -80,10 +88,60 @@ def write_calibration(
     }
     if model != "pinhole":
         calibration["model"] = model
+    if name:
+        calibration |= {"camera": name, "T_camera_lidar": T_camera_lidar.tolist()}
+        numbers = [float(value) for value in distortion]
+        for file, content in (
+            (ROS, _as_ros(name, camera, numbers, model)),
+            (KALIBR, _as_kalibr(name, camera, T_camera_lidar, numbers, model)),
+        ):
+            if content:
+                text = yaml.safe_dump(content, default_flow_style=None, sort_keys=False).encode()
+                write_file(folder / file, methodcaller("write", text))
     intrinsics = json.dumps(calibration | (more or {}), indent=1).encode()
     rows = "\n".join(" ".join(repr(float(v)) for v in row) for row in T_camera_lidar) + "\n"
     write_file(folder / INTRINSICS, lambda stream: stream.write(intrinsics))
     write_file(folder / EXTRINSICS, lambda stream: stream.write(rows.encode()))
+
+
+def _as_ros(name: str, camera: Camera, numbers: list[float], model: str) -> dict[str, object]:
+    """What ``sensor_msgs/CameraInfo`` holds."""
+    many = "rational_polynomial" if len(numbers) > 5 else "plumb_bob"
+
+    def matrix(values: NDArray[np.float64]) -> dict[str, object]:
+        rows, cols = values.shape
+        return {"rows": rows, "cols": cols, "data": values.ravel().tolist()}
+
+    return {
+        "image_width": camera.width,
+        "image_height": camera.height,
+        "camera_name": name,
+        "camera_matrix": matrix(camera.K),
+        "distortion_model": "equidistant" if model == "fisheye" else many,
+        "distortion_coefficients": matrix(np.array([numbers])),
+        "rectification_matrix": matrix(np.eye(3)),
+        "projection_matrix": matrix(np.column_stack([camera.K, np.zeros(3)])),
+    }
+
+
+def _as_kalibr(
+    name: str, camera: Camera, T: NDArray[np.float64], numbers: list[float], model: str
+) -> dict[str, object] | None:
+    """A chain of one camera; None with the distortion that Kalibr has no model for."""
+    if any(numbers[4:]):
+        return None
+    K = camera.K
+    return {
+        "cam0": {
+            "camera_model": "pinhole",
+            "intrinsics": [float(K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2))],
+            "distortion_model": "equidistant" if model == "fisheye" else "radtan",
+            "distortion_coeffs": (numbers + [0.0] * 4)[:4],
+            "resolution": [camera.width, camera.height],
+            "rostopic": f"/{name}",
+            "T_cam_lidar": T.tolist(),
+        }
+    }
 
 
 def read_calibration(folder: Path, remedy: str) -> tuple[Camera, NDArray[np.float64], list[float]]:
