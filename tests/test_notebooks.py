@@ -66,6 +66,15 @@ def test_occupancy_of_a_drive(tmp_path: Path) -> None:
 
 
 @pytest.mark.nightly
+def test_a_network_learns_the_depth_of_a_run(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    names = run_notebook("train_on_it", tmp_path)
+    assert names["abs_rel"] < min(0.3, 0.8 * names["guess"])
+    losses = names["losses"]
+    assert np.mean(losses[-10:]) < 0.2 * np.mean(losses[:5])
+
+
+@pytest.mark.nightly
 def test_votes_find_the_object_and_need_time(tmp_path: Path) -> None:
     names = run_notebook("votes_of_one_object", tmp_path)
     mine, votes = names["mine"], names["votes"]

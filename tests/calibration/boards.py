@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +26,9 @@ LENS = Lens(
     np.array((-0.1, 0.04, 0.0, 0.0, 0.0)),
     640,
     400,
+)
+STRAIGHT = Lens(
+    "pinhole", np.array([(900.0, 0, 480), (0, 900, 360), (0, 0, 1)]), np.zeros(5), 960, 720
 )
 T_CAMERA_LIDAR = np.eye(4)
 T_CAMERA_LIDAR[:3, :3] = rotation_exp((0.03, -0.05, 0.02)) @ np.array(
@@ -142,3 +146,45 @@ def picture(
     gray = np.where(shown, tone, 0.35) * 220 + rng.normal(0, 2, len(tone))
     image = np.clip(gray, 0, 255).astype(np.uint8).reshape(lens.height, lens.width)
     return np.repeat(image[..., None], 3, axis=2)
+
+
+def held(rng: np.random.Generator, near: float, far: float) -> Floats:
+    """``T_camera_board`` of a board in the picture, tilted by up to 30 degrees."""
+    T = np.eye(4)
+    tilt, turn = np.radians(rng.uniform(-30, 30, 2)), np.radians(rng.uniform(-15, 15))
+    T[:3, :3] = rotation_exp((*tilt, 0)) @ rotation_exp((0, 0, turn))
+    T[:3, 3] = *rng.uniform(-0.15, 0.15, 2), rng.uniform(near, far)
+    return T
+
+
+def printed(board: Board, T_camera_board: Floats) -> NDArray[np.uint8]:
+    """An image of a flat board by :data:`STRAIGHT`, by the homography of its plane."""
+    size = STRAIGHT.width, STRAIGHT.height
+    scale, margin = 100, 60  # pixels of a square, and around the squares
+    squares = board.columns + 1, board.rows + 1
+    width, height = (n * scale + 2 * margin for n in squares)
+    page = np.full((height, width), 235, np.uint8)
+    if board.pattern == "circles":
+        for y in range(board.rows):
+            for x in range(board.columns):
+                place = tuple(16 * (margin + scale * (n + 1)) - 8 for n in (x, y))
+                cv2.circle(page, place, 16 * 30, 20, -1, cv2.LINE_AA, 4)
+    elif board.pattern == "charuco":
+        known = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000)
+        markers = cv2.aruco.CharucoBoard(squares, 1.0, 0.7, known)
+        inner = markers.generateImage((width - 2 * margin, height - 2 * margin))
+        page[margin:-margin, margin:-margin] = inner
+    else:
+        dark = (np.indices((squares[1], squares[0])).sum(axis=0) % 2).astype(np.uint8)
+        inner = np.kron(235 - 215 * dark, np.ones((scale, scale), np.uint8))
+        page[margin:-margin, margin:-margin] = inner
+    side = board.square / scale  # a pixel of the page in metres, and that of its first one
+    begin = [-side * (margin + scale * n / 2 - 0.5) for n in squares]
+    to_board = np.array([(side, 0, begin[0]), (0, side, begin[1]), (0, 0, 1)])
+    T = T_camera_board
+    homography = STRAIGHT.K @ np.stack([T[:3, 0], T[:3, 1], T[:3, 3]], axis=1) @ to_board
+    large = np.diag([4.0, 4.0, 1.0]) @ np.array([(1, 0, 0.375), (0, 1, 0.375), (0, 0, 1)])
+    image = cv2.warpPerspective(
+        page, large @ homography, (4 * size[0], 4 * size[1]), borderValue=120
+    )
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)

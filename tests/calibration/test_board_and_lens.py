@@ -8,7 +8,17 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from boards import BOARD, LENS, T_CAMERA_LIDAR, all_poses, corners_of, picture
+from boards import (
+    BOARD,
+    LENS,
+    STRAIGHT,
+    T_CAMERA_LIDAR,
+    all_poses,
+    corners_of,
+    held,
+    picture,
+    printed,
+)
 
 from docdepth.calibration.board import PATTERNS, Board, parse_board
 from docdepth.calibration.corners import board_pose, counted_corners, find_corners, shows_markers
@@ -187,53 +197,15 @@ def test_markers_are_told_from_checkerboards(kind: str) -> None:
     assert shows_markers(pixels) == (kind != "checkerboard")
 
 
-def drawn(board: Board, T_camera_board: np.ndarray, K: np.ndarray, size: tuple[int, int]):
-    """An image of a flat board, by the homography of its plane."""
-    scale, margin = 100, 60  # pixels of a square, and around the squares
-    squares = board.columns + 1, board.rows + 1
-    width, height = (n * scale + 2 * margin for n in squares)
-    page = np.full((height, width), 235, np.uint8)
-    if board.pattern == "circles":
-        for y in range(board.rows):
-            for x in range(board.columns):
-                place = tuple(16 * (margin + scale * (n + 1)) - 8 for n in (x, y))
-                cv2.circle(page, place, 16 * 30, 20, -1, cv2.LINE_AA, 4)
-    elif board.pattern == "charuco":
-        known = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000)
-        markers = cv2.aruco.CharucoBoard(squares, 1.0, 0.7, known)
-        inner = markers.generateImage((width - 2 * margin, height - 2 * margin))
-        page[margin:-margin, margin:-margin] = inner
-    else:
-        dark = (np.indices((squares[1], squares[0])).sum(axis=0) % 2).astype(np.uint8)
-        inner = np.kron(235 - 215 * dark, np.ones((scale, scale), np.uint8))
-        page[margin:-margin, margin:-margin] = inner
-    side = board.square / scale  # a pixel of the page in metres, and that of its first one
-    begin = [-side * (margin + scale * n / 2 - 0.5) for n in squares]
-    to_board = np.array([(side, 0, begin[0]), (0, side, begin[1]), (0, 0, 1)])
-    T = T_camera_board
-    homography = K @ np.stack([T[:3, 0], T[:3, 1], T[:3, 3]], axis=1) @ to_board
-    large = np.diag([4.0, 4.0, 1.0]) @ np.array([(1, 0, 0.375), (0, 1, 0.375), (0, 0, 1)])
-    image = cv2.warpPerspective(
-        page, large @ homography, (4 * size[0], 4 * size[1]), borderValue=120
-    )
-    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-
-
 @pytest.mark.parametrize("pattern", PATTERNS)
 def test_boards_of_each_kind_are_found_to_a_fraction_of_a_pixel(pattern: str) -> None:
-    rng, size = np.random.default_rng(4), (960, 720)
-    K = np.array([(900.0, 0, 480), (0, 900, 360), (0, 0, 1)])
-    board = Board(6, 5, 0.1, 0.9, 0.8, pattern)
-    lens = Lens("pinhole", K, np.zeros(5), *size)
+    rng, board = np.random.default_rng(4), Board(6, 5, 0.1, 0.9, 0.8, pattern)
     for _ in range(TRIALS):
-        T = np.eye(4)
-        tilt, turn = np.radians(rng.uniform(-30, 30, 2)), np.radians(rng.uniform(-15, 15))
-        T[:3, :3] = rotation_exp((*tilt, 0)) @ rotation_exp((0, 0, turn))
-        T[:3, 3] = *rng.uniform(-0.15, 0.15, 2), rng.uniform(1.4, 2.2)
-        found = find_corners(drawn(board, T, K, size), board)
+        T = held(rng, 1.4, 2.2)
+        found = find_corners(printed(board, T), board)
         assert found is not None
-        exact = lens.project(board.corners @ T[:3, :3].T + T[:3, 3])
+        exact = STRAIGHT.project(board.corners @ T[:3, :3].T + T[:3, 3])
         error = min(np.abs(found - way).max() for way in (exact, exact[::-1]))
         assert error < (0.5 if pattern == "circles" else 0.3)  # their centres are not projected
-        pose, _ = board_pose(found, board, lens)
+        pose, _ = board_pose(found, board, STRAIGHT)
         assert np.linalg.norm(pose[:3, 3] - T[:3, 3]) < 0.004
