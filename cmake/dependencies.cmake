@@ -4,6 +4,9 @@ include(FetchContent)
 
 find_package(Eigen3 3.4 QUIET NO_MODULE)  # 3.3 does not compile as C++20
 if(NOT TARGET Eigen3::Eigen)
+  find_package(Eigen3 5 QUIET NO_MODULE)  # follows 3.4, and says that it is not compatible
+endif()
+if(NOT TARGET Eigen3::Eigen)
   FetchContent_Declare(eigen
     URL https://gitlab.com/libeigen/eigen/-/archive/3.4.0/eigen-3.4.0.tar.gz
     URL_HASH SHA256=8586084f71f9bde545ee7fa6d00288b264a2b7ac3607b974e54d13e7162c1c72
