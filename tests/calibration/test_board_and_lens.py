@@ -26,7 +26,6 @@ from docdepth.calibration.lens import Lens, estimate_lens
 from docdepth.datasets.formats.bag.ros_images import camera_of
 from docdepth.errors import CalibrationError, ConfigError
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.se3 import rotation_exp
 from docdepth.io.calibration import write_calibration
 
 SIZE = (LENS.width, LENS.height)

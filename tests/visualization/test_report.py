@@ -249,7 +249,11 @@ wiper.oninput();
 const shown = [...frame.querySelectorAll("img:not([hidden])")];
 const views = shown.map((picture) => [picture.dataset.view, picture.style.clipPath]);
 const fits = document.documentElement.scrollWidth <= innerWidth;
-const said = JSON.stringify({ found, views, fits });
+for (const altKey of [false, true])  // with Alt the browser goes back
+  document.body.dispatchEvent(
+    new KeyboardEvent("keydown", { key: "ArrowRight", altKey, bubbles: true }));
+const image = document.querySelector(".image").value;
+const said = JSON.stringify({ found, views, fits, image });
 document.body.innerHTML = `<pre id=said>${said}</pre>`;
 })</script>"""
 
@@ -278,6 +282,7 @@ def test_a_browser_runs_the_page(finished, tmp_path, width):
     used.write_text(page.read_text(encoding="utf-8") + size, encoding="utf-8")
     said = json.loads(re.search(r"id=.?said.?>(.*?)</pre>", shown(used), re.S)[1])
     assert said["fits"]
+    assert said["image"] == "1"
     assert said["views"] == [["depth", "inset(0px 0px 0px 30%)"], ["image", ""]]
     values = [np.nan if text == "no depth" else float(text[:-2]) for text in said["found"]]
     assert np.allclose(np.reshape(values, depth.shape), depth, atol=0.0051, equal_nan=True)

@@ -80,7 +80,7 @@ for (const book of document.querySelectorAll(".flip")) {
   book.querySelector(".after").onclick = () => step(1);
   book.tabIndex = 0;
   book.onkeydown = (event) => {
-    if (event.target.type === "range") return;
+    if (event.target.type === "range" || event.altKey || event.ctrlKey || event.metaKey) return;
     if (event.key === "ArrowLeft") step(-1);
     else if (event.key === "ArrowRight") step(1);
     else if (buttons[+event.key - 1]) buttons[+event.key - 1].click();
@@ -89,3 +89,7 @@ for (const book of document.querySelectorAll(".flip")) {
   };
   show();
 }
+// While nothing has the focus, keys are for the first book.
+document.addEventListener("keydown", (event) => {
+  if (event.target === document.body) document.querySelector(".flip")?.onkeydown(event);
+});

@@ -40,6 +40,7 @@ figcaption, .note { color: var(--soft); font-size: 13px }
 .scale div { position: relative; height: 1.5em } .scale span { position: absolute;
   white-space: nowrap; transform: translateX(-50%) } .scale span:first-child { transform: none }
 .scale span:last-child { transform: translateX(-100%) }
+@media (max-width: 500px) { .scale span:nth-child(2) { display: none } }
 """
 
 FLIP_STYLE = """

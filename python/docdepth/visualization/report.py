@@ -46,8 +46,8 @@ _STYLE = (
     + FLIP_STYLE
     + """
 .warnings { border-left: 4px solid #d55e00; padding: .2em 1em; background: var(--alert) }
-.bar { display: flex; height: 1.1em; background: var(--fill); min-width: 160px; width: 30vw;
-  max-width: 420px } .bar i { background: var(--accent) }
+.bar { display: flex; height: 1.1em; background: var(--fill);
+  width: clamp(70px, 30vw - 40px, 420px) } .bar i { background: var(--accent) }
 .chart { display: grid; grid-template-columns: auto 1fr; gap: 0 .5em; font-size: 13px }
 .chart div { display: flex; flex-direction: column; justify-content: space-between }
 .chart .x { flex-direction: row }
