@@ -8,6 +8,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+import yaml
 
 tomllib = pytest.importorskip("tomllib")  # Python 3.11
 
@@ -55,3 +56,16 @@ def test_classifiers_name_the_versions_that_wheels_are_built_for() -> None:
     named = [c.removeprefix(head) for c in project["project"]["classifiers"] if head in c]
     assert named == ["3", *versions]
     assert project["project"]["requires-python"] == f">={versions[0]}"
+
+
+def test_the_recipe_of_conda_asks_for_what_the_wheel_does() -> None:
+    recipe = yaml.safe_load((ROOT / "recipe" / "recipe.yaml").read_text(encoding="utf-8"))
+    project = tomllib.loads(PROJECT)["project"]
+    assert recipe["context"]["version"] == project["version"]
+    wanted = [
+        text.replace("opencv-python-headless", "py-opencv") for text in project["dependencies"]
+    ]
+    wanted.append(f"python{project['requires-python']}")
+    assert sorted(text.replace(" ", "") for text in recipe["requirements"]["run"]) == sorted(
+        text.lower() for text in wanted
+    )

@@ -115,7 +115,7 @@ class _Sweeps:
             record, classid = self._run.classified_frame(index)
             standing = record.select(classid < DYNAMIC)
             late = standing.time_offset
-            shares = None if late is None else late / self._period
+            shares = None if late is None else late / np.float32(self._period)
             self._kept[index] = standing.points, shares
             for old in [k for k in self._kept if k < index - 40]:
                 del self._kept[old]

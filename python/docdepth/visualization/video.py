@@ -160,9 +160,9 @@ def _write(
     part = path.with_name(f".{path.stem}.part{ending}")
     path.parent.mkdir(parents=True, exist_ok=True)
     writer: _Writer | None = None
-    # OpenCV opens no path that is not UTF-8, so it gets the folder as a number.
-    opened = os.open(path.parent, os.O_RDONLY)
-    named = f"/proc/{os.getpid()}/fd/{opened}/{part.name}"
+    opened, named = os.open(path.parent, os.O_RDONLY), str(part)
+    if not named.isprintable():  # OpenCV opens UTF-8 only, so it gets the folder as a number
+        named = f"/proc/{os.getpid()}/fd/{opened}/{part.name}"
     try:
         for done, frame in enumerate(frames):
             writer = writer or begin(named, fps, frame)

@@ -90,7 +90,7 @@ class RunDataset(DatasetRepr):
             record.points,
             record.name,
             int(self.times[index]),
-            relative_time=None if late is None else late / self._period,
+            relative_time=None if late is None else late / np.float32(self._period),
             sensor_rig=record.sensor_rig,
             motion_compensated=True,
         )
