@@ -26,7 +26,7 @@ STYLE = """
 @media (prefers-color-scheme: dark) { :root { --ink: #e4e4e4; --paper: #17191c; --soft: #a8a8a8;
   --line: #4a4d52; --fill: #2b2e33; --accent: #8ab4ff; --alert: #3a2a1e } }
 body { font: 15px/1.5 system-ui, sans-serif; margin: 1.5em auto; max-width: 1300px; padding: 0 1em;
-  color: var(--ink); background: var(--paper) }
+  color: var(--ink); background: var(--paper); overflow-wrap: break-word }
 h1 { font-size: 24px; margin: 0 } h2 { font-size: 18px; margin: 2em 0 .5em }
 table { border-collapse: collapse; margin: .5em 0; display: block; overflow-x: auto }
 td, th { padding: .2em 1.2em .2em 0; text-align: left; vertical-align: top }
