@@ -187,7 +187,7 @@ def test_confidence_equals_its_formula():
             worst = bend[max(v - 3, 0) : v + 4, max(u - 3, 0) : u + 4].max()
             edge = np.log10(min(max(worst, 1e-3), 1)) / 3 + 1
             s, m = int(support[v, u]), int(measures[v, u])
-            odds = max((s + 0.25) / (m - s + 1), 0.25)
+            odds = max((max(s - 1, 0) + 0.25) / (m - s + 1), 0.25)  # itself confirms nothing
             log_odds = a + b * np.log(odds) - c * edge - doubt[int(seen[v, u])]
             expected = 1 / (1 + np.exp(-log_odds))
             assert found[v, u] == pytest.approx(expected, abs=2e-4)

@@ -147,8 +147,9 @@ def confidence(
 
     ``log_odds = ln((support + 1/4) / (measures - support + 1))`` grows with the measurements that
     agree with the depth and falls with those that do not. The constants 1/4 and 1 are the prior of
-    a pixel without measurements. For triangles ``log_odds`` is at least ``ln(1/4)``: disagreement
-    alone is no worse than no measurement.
+    a pixel without measurements. For triangles ``support`` is one less, as the measurement that the
+    depth comes from confirms nothing, and ``log_odds`` is at least ``ln(1/4)``: disagreement alone
+    is no worse than no measurement.
 
     ``edge`` is 0 where the map is smooth and 1 at a depth edge. It is the largest relative second
     difference of inverse depth within 3 pixels, on a logarithmic scale from 0.1 % to 100 %; planes
@@ -173,7 +174,10 @@ def confidence(
     """
     a, b, c, d, e = _CONFIDENCE["splats" if seen is None else "triangles"]
     disagreeing = measures.astype(np.float32) - support
-    log_odds = np.log((support.astype(np.float32) + 0.25) / (disagreeing + 1))
+    others = support.astype(np.float32)
+    if seen is not None:
+        others = np.maximum(others - 1, 0)
+    log_odds = np.log((others + 0.25) / (disagreeing + 1))
     doubt = np.zeros(depth.shape, np.float32)
     if seen is not None:
         log_odds = np.maximum(log_odds, np.float32(np.log(0.25)))
