@@ -202,15 +202,18 @@ class _H264:
         # What players need first stands first; the sizes are even, which is all that they need.
         self._frames = write_frames(
             path, (width, height), "bgr24", fps=fps, codec="libx264",
-            macro_block_size=2, output_params=["-movflags", "+faststart"],
+            macro_block_size=2, output_params=["-movflags", "+faststart"], ffmpeg_log_level="quiet",
         )  # fmt: skip
         self._frames.send(None)
+        self._path = path
 
     def write(self, frame: Picture, /) -> None:
         try:
             self._frames.send(np.ascontiguousarray(frame))
         except OSError as error:
-            raise RunError("FFmpeg stopped early; make room on the disk and try again") from error
+            raise RunError(
+                f"cannot write {self._path}: FFmpeg stopped early; make room on the disk"
+            ) from error
 
     def release(self) -> None:
         self._frames.close()
