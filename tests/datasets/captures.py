@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bags import BagWriter
 from made_up import DRIVE
 from writers import Written, writes
 
@@ -25,17 +26,13 @@ def ouster_ranges(k: int) -> np.ndarray:
     return ranges
 
 
-def write_ouster(path: Path, boot: bool = True, missing: slice = slice(0)) -> None:
-    """A capture of an OS1-64 at 512 x 10; ``missing`` columns are not valid.
-
-    The LiDAR counts since it was switched on, or Unix time 40 ms behind the host's.
-    """
+def ouster_packets(boot: bool, missing: slice) -> tuple[str, list]:
+    """The metadata of an OS1-64 at 512 x 10, and its packets, by the SDK."""
     pytest.importorskip("ouster.sdk")
-    from ouster.sdk import core, pcap
+    from ouster.sdk import core
 
     info = core.SensorInfo.from_default(core.LidarMode._512x10)
     info.config.udp_port_lidar, info.config.udp_port_imu = 7502, 7503
-    path.with_suffix(".json").write_text(info.to_json_string())
     packet_format = core.PacketFormat(info)
     packets = []
     for k, time in enumerate(DRIVE.times.tolist()):
@@ -50,9 +47,49 @@ def write_ouster(path: Path, boot: bool = True, missing: slice = slice(0)) -> No
         frame.status[missing] = 0
         frame.packet_timestamp[:] = time + np.arange(len(frame.packet_timestamp)) * 10**6
         packets += core.frame_to_packets(frame, packet_format, 0, 0)
+    return info.to_json_string(), packets
+
+
+def write_ouster(path: Path, boot: bool = True, missing: slice = slice(0)) -> None:
+    """A capture of an OS1-64 at 512 x 10; ``missing`` columns are not valid.
+
+    The LiDAR counts since it was switched on, or Unix time 40 ms behind the host's.
+    """
+    metadata, packets = ouster_packets(boot, missing)
+    from ouster.sdk import pcap
+
+    path.with_suffix(".json").write_text(metadata)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         pcap.record(packets, str(path), lidar_port=7502, imu_port=7503)
+
+
+def write_ouster_bag(
+    path: Path, kind: str, package: str = "ouster_ros", inside: bool = True, boot: bool = True
+) -> None:
+    """The same packets as the maker's driver records them, metadata ``inside`` or beside the bag.
+
+    Some packets arrive after later ones, and the last frame lacks most of its packets.
+    """
+    metadata, packets = ouster_packets(boot, slice(0))
+    from rosbags.typesys import get_types_from_msg
+
+    arrivals = [
+        int(DRIVE.times[k // 32]) + k % 32 * 3_000_000 + (8_000_000 if k % 32 in (9, 31) else 0)
+        for k in range(len(packets) - 20)
+    ]
+    with BagWriter(path, kind) as bag:
+        bag.types.register(get_types_from_msg("uint8[] buf", f"{package}/msg/PacketMsg"))
+        first = int(DRIVE.times[0])
+        if inside:
+            text = bag.make("std_msgs/msg/String", metadata)
+            bag.write("/ouster/metadata", text, first)
+        else:
+            path.with_suffix(".json").write_text(metadata)
+        for time, k in sorted((time, k) for k, time in enumerate(arrivals)):
+            message = bag.make(f"{package}/msg/PacketMsg", packets[k].buf)
+            bag.write("/ouster/lidar_packets", message, time)
+            bag.write("/ouster/imu_packets", message, time)
 
 
 @writes("Ouster capture", "ouster")

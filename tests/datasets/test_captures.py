@@ -24,6 +24,7 @@ from captures import (
     velodyne_ranges,
     write_capture,
     write_ouster,
+    write_ouster_bag,
 )
 from conformance import check
 from made_up import DRIVE
@@ -79,6 +80,53 @@ def test_metadata_that_is_missing_or_of_another_sensor(tmp_path: Path) -> None:
     (tmp_path / "sensor.json").write_text("{}")
     with pytest.raises(DatasetError, match=r"drive.pcap with .*sensor.json is no capture"):
         open_dataset(tmp_path / "drive.pcap", dataset="ouster")
+
+
+@pytest.mark.parametrize(
+    ("kind", "package", "inside"),
+    [("ros1", "ouster_ros", True), ("ros1", "ouster_ros", False),
+     ("db3", "ouster_sensor_msgs", True)],
+)  # fmt: skip
+def test_ouster_packets_in_bags(tmp_path: Path, kind: str, package: str, inside: bool) -> None:
+    (tmp_path / "capture").mkdir()
+    write_ouster(tmp_path / "capture" / "drive.pcap", boot=False)
+    known = open_dataset(tmp_path / "capture" / "drive.pcap")
+    path = tmp_path / ("drive.bag" if kind == "ros1" else "drive")
+    write_ouster_bag(path, kind, package, inside, boot=False)
+    dataset = open_dataset(path)
+    check(dataset, "bag")
+    assert len(dataset) == len(known) - 1, "the last one was cut off"
+    np.testing.assert_allclose(dataset.times, known.times[:-1], rtol=0, atol=1000)
+    for k in (0, 2):
+        ours, theirs = dataset.sweep(k), known.sweep(k)
+        for name in ("points", "ring", "intensity"):
+            np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+        np.testing.assert_allclose(ours.relative_time, theirs.relative_time, rtol=0.01)
+
+
+def test_ouster_packets_in_a_bag_without_metadata(tmp_path: Path) -> None:
+    write_ouster_bag(tmp_path / "drive.bag", "ros1", inside=False)
+    (tmp_path / "drive.json").rename(tmp_path / "os.txt")
+    with pytest.raises(DatasetError, match=r"metadata is missing.*no JSON files.*metadata: FILE"):
+        open_dataset(tmp_path / "drive.bag")
+    said = "lidars: {/ouster/lidar_packets: {metadata: os.txt}}"
+    (tmp_path / "docdepth.yaml").write_text(said)
+    assert len(open_dataset(tmp_path / "drive.bag")) == DRIVE.count - 1
+    (tmp_path / "os.txt").write_text("{}")
+    with pytest.raises(DatasetError, match=r"os.txt is no metadata of an Ouster"):
+        open_dataset(tmp_path / "drive.bag")
+
+
+def test_a_real_bag_of_ouster_packets(recordings: Path) -> None:
+    """One revolution of an OS1-128 at 512 x 10, as the SDK's own reader of bags has it."""
+    sdk = pytest.importorskip("ouster.sdk")
+    path = recordings / "ouster" / "512x10_raw.bag"
+    dataset = open_dataset(path)
+    assert dataset.times.tolist() == [1723828414279578824]
+    (frame,), *others = sdk.open_source(str(path))
+    assert not others
+    known = sdk.core.XYZLut(frame.sensor_info)(frame).reshape(-1, 3)
+    np.testing.assert_allclose(dataset.sweep(0).points, known, atol=1e-5)
 
 
 def test_an_empty_capture(recordings: Path) -> None:

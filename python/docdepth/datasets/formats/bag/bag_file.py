@@ -27,6 +27,10 @@ _DEFINITIONS = {
     ),
     "pandar_msgs/msg/PandarScan": "std_msgs/Header header\npandar_msgs/PandarPacket[] packets",
     **{
+        f"{package}/msg/PacketMsg": "uint8[] buf"
+        for package in ("ouster_ros", "ouster_msgs", "ouster_sensor_msgs")
+    },
+    **{
         f"{package}/msg/{name}": text.replace("PACKAGE", package)
         for package in ("livox_ros_driver", "livox_ros_driver2", "livox_interfaces")
         for name, text in (
@@ -52,6 +56,7 @@ class Message(NamedTuple):
     number: int  # which of those of its topic that were recorded at this very time
     stamp: int  # nanoseconds of its header; 0 if it has none
     frame: str  # frame of its header, without a leading ``/``
+    until: int = 0  # nanoseconds at which the last packet of an Ouster's frame was recorded
 
 
 class BagFile:
@@ -108,11 +113,13 @@ class BagFile:
         """All messages of a topic, or the first ones."""
         return [message for _, message in islice(self.each(topic), most)]
 
-    def each(self, topic: str) -> Iterator[tuple[int, Any]]:
+    def each(
+        self, topic: str, start: int | None = None, stop: int | None = None
+    ) -> Iterator[tuple[int, Any]]:
         """Nanoseconds of recording, and the message, one after the other."""
         with self._opened as reader:
             connections = [c for c in reader.connections if c.topic == topic]
-            for connection, recorded, raw in self._messages(reader, connections):
+            for connection, recorded, raw in self._messages(reader, connections, start, stop):
                 yield (
                     recorded,
                     self._decode(reader, raw, connection.msgtype, f"{self.path}, {topic}"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +20,7 @@ from docdepth.datasets.formats.bag.bag_file import SUFFIXES, BagFile, Message, b
 from docdepth.datasets.formats.bag.bag_frames import TRANSFORMS, StaticFrames, still_transforms
 from docdepth.datasets.formats.bag.bag_poses import poses_of_topic
 from docdepth.datasets.formats.bag.opened_bag import BagLidarSettings, BagSettings, OpenedBag
+from docdepth.datasets.formats.bag.ouster_packets import OusterPackets, is_ouster, open_packets
 from docdepth.datasets.formats.bag.ros_images import IMAGES
 from docdepth.datasets.formats.bag.ros_points import is_hesai, reader_of, undecoded
 from docdepth.datasets.formats.pcap.hesai import read_angles
@@ -37,26 +38,31 @@ class BagLidar:
     bag: BagFile
     stream: LidarStream
     messages: list[Message]  # in the order of their stamps
-    # (32, 2): Of a Hesai's lasers, see :func:`~.ros_points.reader_of`
-    angles: NDArray[np.float64] | None = None
+    decode: Callable[[Message, str], Cloud]  # the second names the frame in errors
 
     def read(self, index: int) -> Cloud:
         """Own sweep ``index``."""
-        topic = self.stream.name
-        where = f"{self.bag.path}, {topic} (frame {index})"
-        message = self.bag.read(topic, self.messages[index], where)
-        read = reader_of(self.bag.topics[topic], self.angles)
-        assert read is not None
-        try:
-            return read(message, where)
-        except AttributeError as error:  # the bag defines its messages, and may be damaged there
-            raise DatasetError(
-                f"{where}: it is no {self.bag.topics[topic]} ({error}); record it again"
-            ) from None
+        where = f"{self.bag.path}, {self.stream.name} (frame {index})"
+        return self.decode(self.messages[index], where)
 
     def files(self, index: int) -> list[Path]:
         """All files of the bag."""
         return list(self.bag.files)
+
+
+def _read(
+    bag: BagFile, topic: str, angles: NDArray[np.float64] | None, message: Message, where: str
+) -> Cloud:
+    """The points of a message; ``angles`` as for :func:`~.ros_points.reader_of`."""
+    found = bag.read(topic, message, where)
+    read = reader_of(bag.topics[topic], angles)
+    assert read is not None
+    try:
+        return read(found, where)
+    except AttributeError as error:  # the bag defines its messages, and may be damaged there
+        raise DatasetError(
+            f"{where}: it is no {bag.topics[topic]} ({error}); record it again"
+        ) from None
 
 
 def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
@@ -68,8 +74,11 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
     static = [t for t, k in file.topics.items() if k == TRANSFORMS and t.endswith("tf_static")]
     messages = (message for topic in static for message in file.read_all(topic))
     frames = StaticFrames(messages, partial(still_transforms, file))
-    bag = OpenedBag(file, settings, frames, file.index([*topics, *images]))
-    lidars = _lidars(bag, topics)
+    packets = {t: _packets(file, t, settings) for t in topics if is_ouster(t, file.topics[t])}
+    index = file.index([*(topic for topic in topics if topic not in packets), *images])
+    index.update({topic: one.frames() for topic, one in packets.items()})
+    bag = OpenedBag(file, settings, frames, index)
+    lidars = _lidars(bag, topics, packets)
     lidars[0], poses = _with_poses(lidars[0], bag)
     streams = _cameras(bag, images, lidars[0])
     cameras = {n: s for n, s in streams.items() if isinstance(s, CameraStream)}
@@ -77,7 +86,15 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
     return Recording("bag", path, lidars, cameras, poses, settings, uncalibrated=uncalibrated)
 
 
-def _lidars(bag: OpenedBag, topics: Sequence[str]) -> list[BagLidar]:
+def _packets(file: BagFile, topic: str, settings: BagSettings) -> OusterPackets:
+    given = settings.lidars.get(topic) or BagLidarSettings()
+    metadata = settings.file.parent / given.metadata if given.metadata else None
+    return open_packets(file, topic, metadata)
+
+
+def _lidars(
+    bag: OpenedBag, topics: Sequence[str], packets: Mapping[str, OusterPackets]
+) -> list[BagLidar]:
     lidars: list[BagLidar] = []
     file = bag.settings.file
     for topic in topics:
@@ -97,7 +114,9 @@ def _lidars(bag: OpenedBag, topics: Sequence[str]) -> list[BagLidar]:
                 )
             angles = read_angles(file.parent / given.angles)
         stream = LidarStream(topic, times, [str(time) for time in times.tolist()], T)
-        lidars.append(BagLidar(bag.file, stream, messages, angles))
+        decode = partial(_read, bag.file, topic, angles)
+        of_frames = packets[topic].read if topic in packets else decode
+        lidars.append(BagLidar(bag.file, stream, messages, of_frames))
     return lidars
 
 
@@ -145,14 +164,16 @@ def _lidar_topics(bag: BagFile, settings: BagSettings) -> list[str]:
     """The topics of points that make the sweeps."""
     file = settings.file
     readable = [topic for topic, kind in bag.topics.items() if reader_of(kind)]
+    ouster = [topic for topic, kind in bag.topics.items() if is_ouster(topic, kind)]
     if settings.lidars:
         for topic in settings.lidars:
-            if topic not in readable:
+            if topic not in (*readable, *ouster):
                 raise DatasetError(
                     f"{file}: {bag.path} has no points of {topic}; there are "
-                    f"{', '.join(readable) or 'none'}"
+                    f"{', '.join([*readable, *ouster]) or 'none'}"
                 )
         return list(settings.lidars)
+    readable = readable or ouster  # many record packets beside the points made of them
     if len(readable) == 1:
         return readable
     if readable:
@@ -169,8 +190,8 @@ def _lidar_topics(bag: BagFile, settings: BagSettings) -> list[str]:
             "of the LiDAR"
         )
     raise DatasetError(
-        f"{bag.path} has no points (PointCloud2, Livox CustomMsg, VelodyneScan or PandarScan); its "
-        f"topics are {', '.join(bag.topics) or 'none'}"
+        f"{bag.path} has no points (PointCloud2, Livox CustomMsg, VelodyneScan, PandarScan or "
+        f"Ouster's PacketMsg); its topics are {', '.join(bag.topics) or 'none'}"
     )
 
 

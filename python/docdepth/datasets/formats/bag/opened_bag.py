@@ -26,10 +26,13 @@ class BagLidarSettings(Strict):
         Takes its points to the frame of the first LiDAR; from the static transforms if left out.
     angles : str, optional
         Of packets of a Hesai, see :func:`~.hesai.read_angles`.
+    metadata : str, optional
+        File of the metadata of an Ouster whose packets the topic holds; of the bag if left out.
     """
 
     T_lidar_sensor: Numbers | None = None
     angles: str | None = None
+    metadata: str | None = None
 
 
 class BagSettings(RecordingSettings):

@@ -22,7 +22,6 @@ _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"
 
 _DECODE_FIRST = {
     "NebulaPackets": "packets of the Nebula driver",
-    "PacketMsg": "Ouster packets",
     "RslidarPacket": "RoboSense packets",
     "RslidarScan": "RoboSense packets",
     "InnovusionPacket": "packets of an Innovusion LiDAR",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Sequence
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -61,27 +62,13 @@ class OusterCapture:
     def height(self) -> float:
         """Metres of the lasers' centre above the origin of the sensor's frame."""
         with self._opened as source:
-            info = source.sensor_info[0]
-            return float(info.lidar_to_sensor_transform[2, 3]) * _MILLIMETRE
+            return height_of(source.sensor_info[0])
 
     def read(self, index: int) -> Cloud:
-        """Own sweep ``index``: a row for each pixel, zeros where nothing returned."""
-        from ouster.sdk import core
-
+        """Own sweep ``index``."""
         where = f"{self.path} (frame {index})"
         with self._opened as source:
-            frame = _frame(source, index, where)
-            points = core.XYZLut(source.sensor_info[0])(frame).astype(np.float32)
-        rows, columns = points.shape[:2]
-        valid = (frame.status & _VALID) > 0
-        if not valid.any():
-            raise DatasetError(f"{where} has no valid column", "leave it out by `frames`")
-        points[:, ~valid] = 0
-        late = np.where(valid, frame.timestamp - frame.timestamp[valid].min(), 0).astype(np.int64)
-        name = next((n for n in ("REFLECTIVITY", "SIGNAL") if n in list(frame.fields)), None)
-        brightness = None if name is None else np.array(frame.field(name), np.float32).ravel()
-        ring = np.repeat(np.arange(rows, dtype=np.uint16), columns)
-        return Cloud(points.reshape(-1, 3), brightness, ring, np.tile(late, rows))
+            return cloud_of_frame(_frame(source, index, where), source.sensor_info[0], where)
 
     def files(self, index: int) -> list[Path]:
         """The capture and its metadata."""
@@ -96,13 +83,56 @@ class OusterCapture:
                 valid = (frame.status & _VALID) > 0
                 if valid.any():
                     offsets.append(int(frame.timestamp[valid].min()) - int(arrived[k]))
-        offset = int(np.median(offsets)) if offsets else 0
-        return offset if abs(offset) < _SAME_CLOCK else 0
+        return clock_offset(offsets)
+
+
+def height_of(info: Any) -> float:
+    """Metres of the lasers' centre above the origin of the sensor's frame."""
+    return float(info.lidar_to_sensor_transform[2, 3]) * _MILLIMETRE
+
+
+def cloud_of_frame(frame: Any, info: Any, where: str) -> Cloud:
+    """A row for each pixel of a frame, zeros where nothing returned."""
+    from ouster.sdk import core
+
+    points = core.XYZLut(info)(frame).astype(np.float32)
+    rows, columns = points.shape[:2]
+    valid = (frame.status & _VALID) > 0
+    if not valid.any():
+        raise DatasetError(f"{where} has no valid column", "leave it out by `frames`")
+    points[:, ~valid] = 0
+    late = np.where(valid, frame.timestamp - frame.timestamp[valid].min(), 0).astype(np.int64)
+    name = next((n for n in ("REFLECTIVITY", "SIGNAL") if n in list(frame.fields)), None)
+    brightness = None if name is None else np.array(frame.field(name), np.float32).ravel()
+    ring = np.repeat(np.arange(rows, dtype=np.uint16), columns)
+    return Cloud(points.reshape(-1, 3), brightness, ring, np.tile(late, rows))
+
+
+def clock_offset(offsets: Sequence[int]) -> int:
+    """Nanoseconds from the host's clock to the LiDAR's, of some frames; 0 without Unix time."""
+    offset = int(np.median(offsets)) if offsets else 0
+    return offset if abs(offset) < _SAME_CLOCK else 0
+
+
+@lru_cache(maxsize=8)
+def sensor_info(metadata: str, source: str) -> Any:
+    """What the metadata of a LiDAR tells; ``source`` names it in errors."""
+    core = _sdk("packets in bags").core
+    try:
+        return core.SensorInfo(metadata)
+    except Exception as error:  # the SDK raises RuntimeError, ValueError and its own
+        raise DatasetError(
+            f"{source} is no metadata of an Ouster ({error}); copy it again"
+        ) from error
+
+
+def _sdk(what: str) -> Any:
+    needs = f"Ouster {what} need ouster-sdk, by itself (it wants another rosbags than bags do)"
+    return extra("ouster.sdk", needs, "ouster")
 
 
 def _open_source(path: Path, metadata: Path) -> Any:
-    what = "Ouster captures need ouster-sdk, by itself (it wants another rosbags than bags do)"
-    sdk = extra("ouster.sdk", what, "ouster")
+    sdk = _sdk("captures")
     try:
         source = sdk.open_source(str(path), index=True, meta=[str(metadata)])
     except Exception as error:  # the SDK raises RuntimeError, ValueError and its own
