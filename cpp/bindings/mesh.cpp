@@ -63,6 +63,7 @@ void bind_mesh(py::module_& m) {
       .def(py::init<>())
       .def_readwrite("max_gap", &MeshParameters::max_gap)
       .def_readwrite("jump_ratio", &MeshParameters::jump_ratio)
+      .def_readwrite("gap_jump_ratio", &MeshParameters::gap_jump_ratio)
       .def_readwrite("noise", &MeshParameters::noise)
       .def_readwrite("flatness", &MeshParameters::flatness);
   py::class_<ScanMesh>(m, "ScanMesh")

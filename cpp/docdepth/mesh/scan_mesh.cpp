@@ -85,9 +85,6 @@ DOCDEPTH_KERNEL Floats largest(const Floats& a, const Floats& b, const Floats& c
 
 /// A triangle so many times as wide as rays are apart spans rays that did not return.
 constexpr float kGapSpacings = 2;
-/// There it is a surface only if its range changes by less than this many times the distance across
-/// the ray: nothing was seen of what is between.
-constexpr float kGapJumpRatio = 1;
 /// Every so many triangles tell how far rays are apart.
 constexpr std::size_t kSpacingStep = 16;
 
@@ -133,8 +130,8 @@ struct FindShapes {
       const Floats widest = largest(ab.gap_squared, bc.gap_squared, ca.gap_squared);
       const Ints is_wide = widest > parameters.max_gap * parameters.max_gap;
       const Floats steepest = largest(ab.steepness, bc.steepness, ca.steepness);
-      const Ints is_steep =
-          (steepest > parameters.jump_ratio) | ((steepest > kGapJumpRatio) & (widest > gap * gap));
+      const Ints is_steep = (steepest > parameters.jump_ratio) |
+                            ((steepest > parameters.gap_jump_ratio) & (widest > gap * gap));
       const Floats less = bc.change < ab.change ? bc.change : ab.change;
       const Ints flatter = -(bc.change < ab.change);
       const Ints flattest = ca.change < less ? Ints{} + 2 : flatter;

@@ -14,6 +14,8 @@ struct MeshParameters {
   float max_gap = 0.06981317f;
   /// A side is a discontinuity if the range changes by this many times the distance across the ray.
   float jump_ratio = 4.0f;
+  /// The same of a triangle across missing returns: nothing was seen of what is between.
+  float gap_jump_ratio = 1.0f;
   /// Smaller changes of range are never a discontinuity [m]: noise and rough surfaces.
   float noise = 0.1f;
   /// A triangle within this distance of its neighbour's plane is no discontinuity [m].

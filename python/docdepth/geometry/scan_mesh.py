@@ -68,8 +68,14 @@ class ScanMesh:
 
 
 def share_in_triangles(points: NDArray[np.float32], rig: SensorRig | None = None) -> float:
-    """Share of the points that are corners of continuous triangles of the sweep's mesh."""
-    mesh = ScanMesh(points, rig)
+    """Share of the points that are corners of continuous triangles of the sweep's mesh.
+
+    Returns on both sides of missing ones are neighbours here: what is seen of them tells where the
+    LiDAR is, though nothing is drawn between them.
+    """
+    parameters = _core.MeshParameters()
+    parameters.gap_jump_ratio = parameters.jump_ratio
+    mesh = ScanMesh(points, rig, parameters)
     used = np.zeros(len(points), np.bool_)
     used[mesh.triangles[~mesh.discontinuity].ravel()] = True
     return float(used.mean())
