@@ -121,6 +121,22 @@ WRONG: dict[str, tuple[Callable[[list[np.ndarray]], Any], str]] = {
     ),
     "no labels": (lambda s: docdepth.Scene(s, TRAJECTORY, None), "labels"),
     "no renderer": (lambda s: docdepth.Renderer(None), "str"),
+    "a milliard of threads": (
+        lambda s: docdepth.grow_ground(s, TRAJECTORY, threads=10**9),
+        "threads is 1000000000: 0 .all cores. to 256",
+    ),
+    "half a thread": (
+        lambda s: docdepth.classify_drive(s, TRAJECTORY, threads=1.5),
+        "threads is 1.5",
+    ),
+    "masked poses": (
+        lambda s: docdepth.Trajectory(TIMES, np.ma.masked_equal(POSES, POSES[1, 0, 3])),
+        "frame 1 is not a rotation",
+    ),
+    "masked times": (
+        lambda s: docdepth.Trajectory(np.ma.masked_equal(TIMES, TIMES[1]), POSES),
+        "masked; say what they are",
+    ),
 }
 
 
@@ -199,6 +215,17 @@ def test_points_are_taken_as_people_have_them(form, sweeps, labels, caplog) -> N
         assert (one.classid == other.classid).all()
     said = [record for record in caplog.records if "are taken as float32 (N, 3)" in record.message]
     assert len(said) == (form is not OfAnotherLibrary)
+
+
+def test_masked_points_are_no_returns(sweeps, labels) -> None:
+    lost = [np.arange(len(points)) % 5 == 0 for points in sweeps]
+    masked = [np.ma.array(s, mask=np.c_[k, k, k]) for s, k in zip(sweeps, lost, strict=True)]
+    nan = [np.where(k[:, None], np.float32(np.nan), s) for s, k in zip(sweeps, lost, strict=True)]
+    one, other = (
+        docdepth.render_depth(docdepth.Scene(points, TRAJECTORY, labels), STREAM, 1)
+        for points in (masked, nan)
+    )
+    assert np.array_equal(one, other, equal_nan=True)
 
 
 def test_classes_are_taken_as_people_have_them(sweeps, labels) -> None:

@@ -17,7 +17,12 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Protocol, SupportsIndex, TypeVar, runtime_checkable
+
+from docdepth.errors import InputError
+
+MOST_THREADS = 256
+"""Limit on threads: a machine that is asked for a milliard of them stands still."""
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -80,8 +85,10 @@ def _peak_memory() -> int:
 
 def thread_count(threads: int) -> int:
     """``threads`` itself, or the number of cores that this process may use when it is 0."""
-    if threads > 0:
-        return threads
+    if not isinstance(threads, SupportsIndex) or not 0 <= threads.__index__() <= MOST_THREADS:
+        raise InputError(f"threads is {threads!r}: 0 (all cores) to {MOST_THREADS}")
+    if threads:
+        return threads.__index__()
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 

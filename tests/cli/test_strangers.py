@@ -186,7 +186,9 @@ def test_no_verb_loses_what_somebody_wrote_or_changed(docdepth, copies, tmp_path
         (tmp_path / name).touch()
     files = [f for f in tmp_path.rglob("*") if f.is_file() and above not in f.parents]
     marks = {
-        f: f"of somebody {k}".encode() for k, f in enumerate(files) if STATE_DIR not in f.parts
+        f: f"\n# of somebody {k}\n".encode()
+        for k, f in enumerate(files)
+        if STATE_DIR not in f.parts
     }
     for file, mark in marks.items():
         file.write_bytes(file.read_bytes() + mark)

@@ -116,3 +116,13 @@ def test_other_times_are_told_unless_they_are_of_another_clock(
     write_tum(tmp_path / "p.txt", Trajectory(given.times + late_ns, given.poses))
     read_poses_at(tmp_path / "p.txt", given.times)
     assert len(caplog.records) == told
+
+
+def test_times_of_another_clock_are_compared_by_it(tmp_path: Path, caplog) -> None:
+    """Their steps tell that a pose is missing and another one was added."""
+    given = turning(5)
+    times = 10**15 + np.array([0, 100, 300, 400, 500]) * 10**6
+    write_tum(tmp_path / "p.txt", Trajectory(times, given.poses))
+    read_poses_at(tmp_path / "p.txt", given.times)
+    (record,) = caplog.records
+    assert "by the clock of the sweeps, sweep 1 of" in record.getMessage()

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import docdepth._core as _core
-from docdepth.concurrency import Progress, null_progress
+from docdepth.concurrency import Progress, null_progress, thread_count
 from docdepth.config import Parameters, checked_parameters
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.dynamics.classes import DriveLabels, Labels
@@ -65,7 +65,7 @@ def classify_drive(
     InputError
         The numbers of sweeps, poses and ground labels differ, or an array is wrong.
     """
-    p = checked_parameters(parameters)
+    p, threads = checked_parameters(parameters), thread_count(threads)
     Trajectory.check(trajectory, sweeps)
     if ground is None:
         ground = grow_ground(sweeps, trajectory, p, threads, progress)

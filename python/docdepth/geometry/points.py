@@ -94,12 +94,24 @@ def _tell_conversion(dtype: str, columns: int) -> None:
 
 def as_array(values: Any) -> NDArray[Any]:
     """An array of NumPy, or of a library that has ``__array__`` or DLPack."""
+    values = unmasked(values)
     try:
         if hasattr(values, "__dlpack__") and not hasattr(values, "__array__"):
             return np.from_dlpack(values)
         return np.asarray(values)
     except Exception as error:  # each library has errors of its own
         raise InputError(f"{type(values).__name__} cannot be read as an array: {error}") from None
+
+
+def unmasked(values: Any) -> Any:
+    """The same values; floats that a masked array hides are NaN."""
+    if not np.ma.is_masked(values):
+        return values
+    if values.dtype.kind != "f":
+        raise InputError(
+            f"values of {values.dtype} are masked; say what they are: values.filled(...)"
+        )
+    return values.filled(np.nan)
 
 
 def check_classes(classid: Any) -> NDArray[np.uint16]:
@@ -152,6 +164,7 @@ def _short(value: Any) -> str:
 
 def float_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
     """A copy of ``values`` as float64."""
+    values = unmasked(values)
     try:
         return np.array(values, np.float64)
     except (TypeError, ValueError):
@@ -163,6 +176,7 @@ def nanoseconds(name: str, values: ArrayLike) -> NDArray[np.int64]:
 
     Floats are refused: they hold nanoseconds of today to 256 ns, and are probably seconds.
     """
+    values = unmasked(values)
     try:
         array = np.asarray(values)
     except ValueError:

@@ -210,7 +210,7 @@ def grow_ground(
     InputError
         There are not as many poses as sweeps, or an array has a wrong shape or dtype.
     """
-    p = checked_parameters(parameters).ground
+    p, threads = checked_parameters(parameters).ground, thread_count(threads)
     Trajectory.check(trajectory, sweeps)
     period = sweep_seconds(trajectory.times)
     usable: dict[int, NDArray[np.bool_]] = {}

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError, DatasetError, InputError
+from docdepth.geometry.points import unmasked
 from docdepth.io.atomic import write_atomically
 from docdepth.io.images import decode_image, encode_exr, encode_png, import_exr, read_exr
 from docdepth.io.untrusted import (
@@ -304,9 +305,7 @@ def _load(path: Path) -> NDArray[Any]:
 
 def _checked(depth: NDArray[np.float32]) -> NDArray[np.float32]:
     """The same depths in rows that follow each other, as encoders take them."""
-    if isinstance(depth, np.ma.MaskedArray) and depth.dtype.kind == "f":
-        depth = depth.filled(np.nan)
-    depth = np.ascontiguousarray(depth)
+    depth = np.ascontiguousarray(unmasked(depth))
     if depth.dtype.kind == "f":
         with np.errstate(over="ignore"):
             depth = depth.astype(np.float32, copy=False)

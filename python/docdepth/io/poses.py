@@ -94,15 +94,22 @@ def _warn_of_other_times(path: Path, times: NDArray[np.int64]) -> None:
             return
     else:
         return
-    if len(own) != len(times) or own.max() < times[0] or own.min() > times[-1]:
+    if len(own) != len(times):
         return
+    other_clock = 0
+    if own.max() < times[0] or own.min() > times[-1]:
+        if len(np.unique(np.diff(own))) == 1:
+            return  # they only count, or all is well
+        other_clock = int(np.median(own - times))
+        own = own - other_clock
     off = np.abs(own - times)
     worst = int(off.argmax())
     if off[worst] > _LATE * float(np.median(np.diff(times))):
         log.warning(
-            "%s: pose %d is of %.3f s, sweep %d of %.3f s; poses are taken in the order of the "
+            "%s: pose %d is of %.3f s%s, sweep %d of %.3f s; poses are taken in the order of the "
             "sweeps: bring one for each sweep, in this order",
-            path, worst, own[worst] * 1e-9, worst, times[worst] * 1e-9,
+            path, worst, own[worst] * 1e-9, " by the clock of the sweeps" if other_clock else "",
+            worst, times[worst] * 1e-9,
         )  # fmt: skip
 
 

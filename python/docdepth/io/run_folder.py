@@ -66,7 +66,11 @@ class RunFolder(RecordedFolder):
             check_entries(self.path)
         self._saved = _content(self._manifest_path)  # run.yaml as it is on disk
         found = read_manifest(self._manifest_path)
-        self._is_readable = found is not None
+        # What a user wrote into run.yaml is no text of ours: it is kept aside, if only a comment.
+        self._is_ours = found is not None and self._saved in (
+            found.text(),
+            _content(self._copy_path),
+        )
         if found is None:
             found = read_manifest(self._copy_path)
             if found is not None:
@@ -194,9 +198,9 @@ class RunFolder(RecordedFolder):
 
     def save(self) -> None:
         """Write run.yaml, and a copy that is used where the first is damaged."""
-        if self._saved is not None and not self._is_readable:
-            move_aside(self._manifest_path)  # it is no run.yaml of docdepth, or damaged
-        self._is_readable = True
+        if self._saved is not None and not self._is_ours:
+            move_aside(self._manifest_path)
+        self._is_ours = True
         text = self._saved = self.manifest.text()
         for path in (self._manifest_path, self._copy_path):
             if _content(path) != text:

@@ -123,7 +123,7 @@ def register_drive(
     InputError
         ``dataset`` or ``parameters`` are of another type.
     """
-    settings = checked_parameters(parameters).odometry
+    settings, threads = checked_parameters(parameters).odometry, thread_count(threads)
     if not hasattr(dataset, "sweep") or not hasattr(dataset, "times"):
         raise InputError(
             "dataset must be one from docdepth.open_dataset, or have the members of "
@@ -141,7 +141,7 @@ def register_drive(
             def logs(part: range) -> list[RegistrationLog]:
                 return _logs(dataset, settings, checkpoint, part, "refined", PASSES)
 
-            known, said = refine_poor(sweeps, known, settings, thread_count(threads), logs)
+            known, said = refine_poor(sweeps, known, settings, threads, logs)
             findings += said
     else:
         findings, sweeps = [], _thinned_sweeps(dataset, settings, PASSES)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
-from docdepth.concurrency import Progress
+from docdepth.concurrency import MOST_THREADS, Progress
 from docdepth.config import Parameters, replaced
 from docdepth.datasets.base import CameraStream, Dataset
 from docdepth.errors import CalibrationError, ConfigError, Finding, collected
@@ -80,7 +80,7 @@ class Execution(Checked):
     threads: int = Field(
         0,
         ge=0,
-        le=256,
+        le=MOST_THREADS,
         description="Number of threads; 0 = all cores. Does not change the result.",
         json_schema_extra={"metavar": "N"},
     )

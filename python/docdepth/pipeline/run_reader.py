@@ -379,7 +379,7 @@ class ImageLayers(Mapping[str, NDArray[Any]]):
     def __getitem__(self, name: str) -> NDArray[Any]:
         image, images = self._image, self._image.of
         if name not in tuple(self):
-            raise KeyError(name)
+            raise KeyError(f"no layer {name!r}; there are {', '.join(self)}")
         file = images.run.path / "layers" / images.subfolder / f"{image.name}.npz"
         try:
             stored = read_arrays(file, [name]) if file.is_file() else {}
