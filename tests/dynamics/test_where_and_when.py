@@ -51,13 +51,13 @@ def known(drive: tuple[list[np.ndarray], np.ndarray]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("away", [1e3, 1e5, 5e6])
-@pytest.mark.parametrize("turn", [0.0, 0.7])
+@pytest.mark.parametrize("turn", [0.0, 0.7, -3.0])
 def test_the_origin_of_the_world(drive, known, away: float, turn: float) -> None:
     world = se3_exp(np.array([0, 0, turn]), np.zeros(3))
     world[:3, 3] = away, -0.7 * away, 50.0
     differing = np.mean(labels(drive[0], world @ drive[1]) != known)
-    # Voxels of ground have the axes of the world, and take up other points where it is turned.
-    assert differing <= (5e-4 if turn else 0)
+    # A point at the border of a voxel may be rounded into the next one.
+    assert differing <= (2e-5 if turn else 0)
 
 
 def test_the_time_and_the_type_of_poses(drive, known) -> None:

@@ -22,6 +22,7 @@ from docdepth.odometry.sweeps import AnySweep, lidar_frame
 
 logger = logging.getLogger(__name__)
 
+_SAME_AXES = 1e-6  # radians; rounded poses of a drive that begins at the identity
 CHUNK_OVERLAP = 100.0
 """Path before and after a chunk that is merged with it: about the range of a LiDAR [m]."""
 
@@ -126,6 +127,16 @@ def chunks(trajectory: Trajectory, parameters: GroundParameters | None = None) -
     return found
 
 
+def _northless(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Poses in a world whose x axis points where the first one looks; z stays."""
+    yaw = np.arctan2(poses[0, 1, 0], poses[0, 0, 0])
+    if abs(yaw) < _SAME_AXES:
+        return poses
+    turn = np.eye(4)
+    turn[:2, :2] = [[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]]
+    return turn @ poses
+
+
 def label_chunk(
     chunk: Chunk,
     read: Callable[[int], NDArray[np.float32]],
@@ -158,18 +169,20 @@ def label_chunk(
         True for ground.
     """
     progress, timer = progress or (lambda share: None), timer or Timer()
-    # Voxels are counted from the first pose of the drive, so labels do not depend on the chunks.
-    ground_map = GroundMap(parameters, threads, trajectory.poses[0, :3, 3])
+    # Voxels are counted from the first pose of the drive and have its axes, so labels do not depend
+    # on the chunks, nor on the world's origin and north.
+    poses = _northless(trajectory.poses)
+    ground_map = GroundMap(parameters, threads, poses[0, :3, 3])
 
     def label(index: int) -> NDArray[np.bool_]:
         points = read(index)
         with timer("ground: label"):
-            return ground_map.label(points, trajectory.poses[index])
+            return ground_map.label(points, poses[index])
 
     with ThreadPoolExecutor(thread_count(threads) + 1) as pool:
         for step, points in enumerate(prefetch(pool, read, chunk.merged)):
             with timer("ground: insert"):
-                ground_map.insert(points, trajectory.poses[chunk.merged[step]])
+                ground_map.insert(points, poses[chunk.merged[step]])
             progress(step / (2 * len(chunk.merged)))
         with timer("ground: grow"):
             ground_map.grow()
