@@ -258,6 +258,20 @@ def test_a_gap_and_a_wrong_unit_of_stamps() -> None:
     assert "sweep-period" in codes_of(inspect_recording(Recorded(poses=None, times=times)))
 
 
+def test_halves_of_a_turn_are_named() -> None:
+    """At 20 Hz, as whole turns of some LiDARs are."""
+
+    def change(sweep: Sweep, index: int) -> Sweep:
+        points = sweep.points
+        return Sweep(points[(points[:, 1] > 0) == bool(index % 2)], sweep.name, sweep.time)
+
+    times = Recorded().times // 2
+    assert "mini-sweeps" not in codes_of(inspect_recording(Recorded(poses=None, times=times)))
+    halves = inspect_recording(Recorded(poses=None, times=times, change=change))
+    (found,) = (one for one in halves.findings if one.code == "mini-sweeps")
+    assert "sweep_duration: 0.1 " in found.remedy
+
+
 @pytest.mark.parametrize("broken", [range(COUNT), [COUNT - 1]])
 def test_garbage_is_told_without_more(broken: Sequence[int]) -> None:
     """Warnings of numpy are errors in these tests."""

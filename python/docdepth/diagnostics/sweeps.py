@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from filecmp import cmp
 from pathlib import Path
@@ -33,6 +33,8 @@ _LONG = 1.8  # of the usual time between sweeps: one is missing
 _CLOSE = 0.3  # and this share is too little; stamps of arrival stay above 0.5
 _USABLE = 0.7  # of the share of usable points that sweeps of the drive usually have
 _SHORTEST = 0.04  # seconds; some LiDARs turn 20 times a second, none much faster
+_SECTORS = 72  # around the LiDAR, of 5 degrees
+_SAME_DIRECTIONS = 0.5  # share of its sectors that a sweep has in common with the next one
 _SMALL = 0.7  # share of the size of those around below which a sweep is partial
 _AROUND = 5  # sweeps before and after
 _LATE = 1.5  # durations of a sweep after its stamp; no point is measured later
@@ -86,7 +88,42 @@ def check_sweeps(
                 opened[index] = sweep
     found += broken_frames_found(broken, len(sampled))
     found += _check_usable_shares(opened, recording)
+    if not any(finding.code == "mini-sweeps" for finding in found):
+        found += _find_parts_of_turns(recording, opened)
     return opened, found
+
+
+def _find_parts_of_turns(recording: Dataset, opened: dict[int, Sweep]) -> list[Finding]:
+    """Whether a sweep and the next one look in different directions, as halves of a turn do."""
+    for k, sweep in opened.items():
+        if k + 1 == len(recording):
+            continue
+        with suppress(DatasetError):
+            seen = [
+                _directions(one) for one in (sweep, opened.get(k + 1) or recording.sweep(k + 1))
+            ]
+            least = min(map(np.count_nonzero, seen))
+            if np.count_nonzero(seen[0] & seen[1]) > _SAME_DIRECTIONS * least:
+                return []
+            turn = float(np.median(np.diff(recording.times))) * 1e-9 * round(_SECTORS / least)
+            return [
+                Finding(
+                    "mini-sweeps",
+                    str(recording.path),
+                    f"frames {k} and {k + 1} look in different directions: they are parts "
+                    "of a turn",
+                    f"join them: say sweep_duration: {turn:.2g} in docdepth.yaml",
+                )
+            ]
+    return []
+
+
+def _directions(sweep: Sweep) -> NDArray[np.bool_]:
+    """Which sectors around the LiDAR hold returns of a sweep, (_SECTORS,)."""
+    x, y, _ = sweep.points[usable_points(sweep.points)].T
+    sectors = (np.arctan2(y, x) / (2 * np.pi) * _SECTORS).astype(int) % _SECTORS
+    counts = np.bincount(sectors, minlength=_SECTORS)
+    return counts > 0.1 * counts.mean()
 
 
 def broken_frames_found(broken: Collector, count: int) -> list[Finding]:
