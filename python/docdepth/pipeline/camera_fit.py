@@ -22,7 +22,7 @@ from docdepth.pipeline.render import report
 
 log = logging.getLogger(__name__)
 
-_VERSION = 5  # counted up when the same images ask for another change
+_VERSION = 6  # counted up when the same images ask for another change
 FITTED_IMAGES = 40
 """Images to which a camera is fitted, evenly along the path."""
 
@@ -81,7 +81,7 @@ def _finding(name: str, found: CameraFit, apply: bool) -> Finding:
         "camera-fit",
         name,
         f"depth edges lie {found.moved_deg:.2f} +- {found.error_deg:.2f} degrees beside those of "
-        f"the images; they fit when {found.change}. Images of each quarter of the drive confirm "
+        f"the images; they fit when {found.change}. Images of each eighth of the drive confirm "
         f"what the others ask for, in the mean; maps are {drawn}",
         "`camera_fit='report'` draws with calibration and times as they are given" if apply else "",
         "note",
@@ -121,12 +121,12 @@ def _fit(run: RunFolder, stream: CameraStream, progress: Progress) -> CameraFit 
 Floats = NDArray[np.float64]
 
 LEAST_PATH = 60.0
-"""Path along which the images were taken [m]. The quarters of a shorter drive see the same street,
+"""Path along which the images were taken [m]. The parts of a shorter drive see the same street,
 and have agreed on turns of 0.6 degrees that were wrong."""
 
 _FEWEST_IMAGES = 10
 _LEAST_MOVED_DEG = 0.04  # half a pixel of most cameras; smaller changes are not applied
-_PARTS = 4  # of the drive, each of which is left out once
+_PARTS = 8  # of the drive, each of which is left out once; of four the error is half chance
 _EVERY = 4  # edges of an image that are used: next to each other they err alike
 _TURN_AND_TIME = np.array([True] * 3 + [False] * 3 + [True])
 _LEAST_SCORE = 1.2  # right ones reach 1.4 to 2.2, another drive's images 1.0 to 1.1
@@ -145,9 +145,9 @@ class CameraFit:
     moved_deg : float
         By how much it moves depth edges, RMS.
     error_deg : float
-        Standard error of that: by how much fits without a quarter of the drive differ (jackknife).
+        Standard error of that: by how much fits without a part of the drive differ (jackknife).
     gain : float
-        Mean growth of the score of an image by the fit without its quarter, in standard errors.
+        Mean growth of the score of an image by the fit without its part, in standard errors.
     """
 
     fit: EdgeFit
@@ -172,7 +172,7 @@ class CameraFit:
 
 
 def fit_camera(found: RunEdges) -> CameraFit | None:
-    """Fit a camera to the images of a run, and again without each quarter of the drive.
+    """Fit a camera to the images of a run, and again without each eighth of the drive.
 
     Turn, place and time are fitted together. Seen from a few metres a turn looks like a shift, so
     each part by itself is less sure than where the edges lie. None where images are too few.
