@@ -7,6 +7,7 @@ kinds of actors. ``endless`` holds a drive of any length, which is made while it
 from docdepth.synthetic import SCENES
 from docdepth.synthetic.street import KINDS
 from scenes.fences import fences, still_fences
+from scenes.groups import groups
 from scenes.large_vehicles import LARGE_VEHICLES
 from scenes.residential import residential
 from scenes.rural import highway, hills
@@ -25,6 +26,7 @@ SCENES.update(
             queue,
             fences,
             still_fences,
+            groups,
         )
     }
 )

@@ -17,8 +17,9 @@ constexpr float kMovingFreeShare = 0.05f;
 /// Where this share is transient, the object moves in any case: of sparse ones it is not known
 /// which places were free (kMaxIsolatedShare).
 constexpr float kSurelyTransientShare = 0.99f;
-/// Of what moves alone at most this share is porous: 0.13 on drives of which the truth is known,
-/// where it is 0.52 and more of fences that seem to move.
+/// A fence is thinner than this [m]: those that seem to move are 0.21 at most, somebody who walks
+/// is at least 0.26. More than this share of it is porous. So is of people who walk in single file.
+constexpr float kMaxFenceWidth = 0.25f;
 constexpr float kMaxPorousShare = 1 / 3.0f;
 /// What is as long as a car [m], goes so many times its length, and once its length while
 /// transient, is no fence, even where other vehicles hide that its place was free: lorries that
@@ -66,15 +67,16 @@ bool is_transient_while_moving(const ObjectTrack& object, const std::vector<doub
   return transient_area >= kMovingTransientShare * area && free_area >= kMovingFreeShare * area;
 }
 
-/// Whether rays hit and passed much of it in turn, sooner than road users follow each other: a
-/// fence or a twig of which each sweep hits another part.
-bool is_porous(const Track& track) {
+/// Whether it is thin, and rays hit and passed much of it in turn: a fence of which each sweep hits
+/// another part.
+bool is_fence(const ObjectTrack& object) {
   float area = 0, porous_area = 0;
-  for (const TrackObservation& seen : track.observations) {
+  for (const TrackObservation& seen : object.track.observations) {
     area += seen.area;
     porous_area += seen.porous_area;
   }
-  return porous_area > kMaxPorousShare * area;
+  return object.path.extent().size().head<2>().minCoeff() < kMaxFenceWidth &&
+         porous_area > kMaxPorousShare * area;
 }
 
 }  // namespace
@@ -110,7 +112,7 @@ bool moves(const ObjectTrack& object, const std::vector<double>& times,
   const bool goes = path.distance() >= options.min_distance &&
                     path.transient_distance() >= kMinVotedDistanceShare * options.min_distance;
   if (goes && drives_far(path)) return true;
-  if (is_porous(track)) return false;
+  if (is_fence(object)) return false;
   if (goes && is_transient_while_moving(object, times)) return true;
   return is_vehicle(path) && appears(track.observations, times, options.min_detections);
 }

@@ -48,7 +48,7 @@ struct Votes {
   /// turn.
   std::vector<std::uint8_t> occupied_once;
   /// 1 if the place was occupied, free, and occupied again within a second: rays hit and pass a
-  /// thing in turn. Road users keep a longer distance from each other.
+  /// thing in turn. Few road users follow each other so closely.
   std::vector<std::uint8_t> porous;
   /// The first and the last key frame that found the place occupied; kNever if none did.
   std::vector<std::uint16_t> first_occupied, last_occupied;

@@ -103,7 +103,7 @@ class Batch {
   std::int32_t pixels_[QueryPoints::kMax];
 };
 
-/// No road user is where another one was so soon before [s]: not even in dense traffic.
+/// Few road users are where another one was so soon before [s]: people who walk in single file.
 constexpr double kMinHeadway = 1;
 
 /// As wide as the other values of a point, so that many points are looked at at once.

@@ -32,8 +32,8 @@ class OccupancyIntervals(NamedTuple):
         sweep: something arrived there, left or passed. Twigs and fences are found free and occupied
         in turn.
     porous : ndarray of bool, shape (N,)
-        The place was occupied, free, and occupied again within a second. Road users keep a
-        longer distance from each other.
+        The place was occupied, free, and occupied again within a second. Few road users
+        follow each other so closely.
     first, last : ndarray of uint16 or int32, shape (N,)
         The first and the last that found the place occupied: of votes the number of the key frame
         among those that voted, :data:`NEVER` if none did; of
