@@ -60,6 +60,20 @@ def test_the_origin_of_the_world(drive, known, away: float, turn: float) -> None
     assert differing <= (2e-5 if turn else 0)
 
 
+@pytest.mark.parametrize("step", [(0, 0, 0), (0, 0, 0.3), (0.2, -0.1, -0.1), (1000.03, 0, 0)])
+def test_each_part_has_the_labels_that_it_has_alone(drive, step: tuple[float, ...]) -> None:
+    """Over a gap, poses may step by what a GNSS errs, or begin anew elsewhere."""
+    sweeps, poses = drive[0], drive[1].copy()
+    poses[COUNT // 2 :, :3, 3] += step
+    times = 10**8 * np.arange(COUNT)
+    times[COUNT // 2 :] += 2 * 10**9
+    whole = classify_drive(sweeps, Trajectory(times, poses))
+    for part in (slice(COUNT // 2), slice(COUNT // 2, COUNT)):
+        alone = classify_drive(sweeps[part], Trajectory(times[part], poses[part]))
+        for of_whole, of_alone in zip(whole[part], alone, strict=True):
+            np.testing.assert_array_equal(of_whole.classid, of_alone.classid)
+
+
 def test_the_time_and_the_type_of_poses(drive, known) -> None:
     np.testing.assert_array_equal(labels(*drive, begin=1_700_000_000 * 10**9), known)
     single = drive[1].astype(np.float32)

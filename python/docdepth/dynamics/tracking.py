@@ -112,9 +112,10 @@ TakeSweep = Callable[[TrackedSweep], None]
 
 
 def local_poses(trajectory: Trajectory) -> NDArray[np.float64]:
-    """Poses (n, 4, 4) with the first position as origin, where float32 resolves centimetres."""
+    """Poses (n, 4, 4) from the first position of each part, where float32 resolves centimetres."""
     poses = trajectory.poses.copy()
-    poses[:, :3, 3] -= trajectory.poses[0, :3, 3]
+    for part in trajectory.parts:
+        poses[part.start : part.stop, :3, 3] -= trajectory.poses[part.start, :3, 3]
     return poses
 
 
@@ -188,7 +189,7 @@ def track_objects(
             _HELD_SWEEPS,
             tell,
         )
-        tracks += _tracks_of(objects, found, times, trajectory.poses[0, :3, 3])
+        tracks += _tracks_of(objects, found, times, trajectory.poses[part.start, :3, 3])
         found += len(objects)
     if found > MAX_TRACKS:
         log.warning(

@@ -115,15 +115,18 @@ class Chunk(NamedTuple):
 
 
 def chunks(trajectory: Trajectory, parameters: GroundParameters | None = None) -> list[Chunk]:
-    """Cut a drive into chunks of path length, in order (paper IV-A, l)."""
-    p, arc = parameters or GroundParameters(), trajectory.arc_length
-    number = arc // p.chunk_length
-    starts = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(arc)]
-    found = []
-    for begin, end in itertools.pairwise(starts):
-        first = np.searchsorted(arc, arc[begin] - CHUNK_OVERLAP, "left")
-        last = np.searchsorted(arc, arc[end - 1] + CHUNK_OVERLAP, "right")
-        found.append(Chunk(list(range(begin, end)), list(range(int(first), int(last)))))
+    """Cut a drive into chunks of path length, in order (paper IV-A, l).
+
+    None reaches over a gap: given poses may step there, and a step of a decimetre is a second road.
+    """
+    p, found = parameters or GroundParameters(), list[Chunk]()
+    for part in trajectory.parts:
+        arc = trajectory.arc_length[part.start : part.stop]
+        starts = [0, *(np.flatnonzero(np.diff(arc // p.chunk_length)) + 1).tolist(), len(arc)]
+        for begin, end in itertools.pairwise(starts):
+            first = np.searchsorted(arc, arc[begin] - CHUNK_OVERLAP, "left")
+            last = np.searchsorted(arc, arc[end - 1] + CHUNK_OVERLAP, "right")
+            found.append(Chunk(list(part[begin:end]), list(part[int(first) : int(last)])))
     return found
 
 
@@ -169,10 +172,11 @@ def label_chunk(
         True for ground.
     """
     progress, timer = progress or (lambda share: None), timer or Timer()
-    # Voxels are counted from the first pose of the drive and have its axes, so labels do not depend
+    # Voxels are counted from the first pose of the part and have its axes, so labels do not depend
     # on the chunks, nor on the world's origin and north.
-    poses = _northless(trajectory.poses)
-    ground_map = GroundMap(parameters, threads, poses[0, :3, 3])
+    part = trajectory.part(chunk.sweeps[0])
+    poses = dict(zip(part, _northless(trajectory.poses[part.start : part.stop]), strict=True))
+    ground_map = GroundMap(parameters, threads, poses[part.start][:3, 3])
 
     def label(index: int) -> NDArray[np.bool_]:
         points = read(index)
