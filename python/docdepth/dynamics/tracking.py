@@ -52,7 +52,8 @@ _PAIRS = 200_000
 """So many pairs of a point and a box are compared at once: where all moves, there are millions."""
 
 MAX_POROUS_SHARE = 0.2
-"""Where more of the places that were found free are porous, what no track follows stands [-]."""
+"""Where more of the places that were found free, and that no track follows, are porous, they stand
+[-]."""
 
 MIN_DYNAMIC_SHARE = 0.5
 """Where less of what was found free is dynamic, what no track follows stands [-]."""
@@ -306,18 +307,20 @@ def withdraw_untracked(
     """
     left = ~ground & (votes.dynamic > 0)
     cells, cell = np.unique(_cell_keys(points[left]), return_inverse=True)
-    of_each = None, porous[left], classid[left] >= DYNAMIC
+    moves = classid[left] >= DYNAMIC
+    followed = moves & ~untracked[left]
+    of_each = None, moves, ~followed, porous[left] & ~followed
     counts = np.stack([np.bincount(cell, of, minlength=len(cells)) for of in of_each])
     rows = np.flatnonzero(untracked)
-    around = np.zeros((3, len(rows)))
+    around = np.zeros((len(counts), len(rows)))
     if len(cells):
         here = _cell_keys(points[rows])
         for step in itertools.product((-1, 0, 1), repeat=3):
             there = here + _cell_keys(np.array([step], np.float32) * _CELL)
             at = np.minimum(np.searchsorted(cells, there), len(cells) - 1)
             around += np.where(cells[at] == there, counts[:, at], 0)
-    free, free_porous, free_dynamic = around
-    among_porous = free_porous > MAX_POROUS_SHARE * free
+    free, free_dynamic, unfollowed, unfollowed_porous = around
+    among_porous = unfollowed_porous > MAX_POROUS_SHARE * unfollowed
     among_static = free_dynamic < MIN_DYNAMIC_SHARE * free
     is_clear = votes.dynamic[rows] > MIN_FREE_RATIO * votes.static[rows].astype(np.int64)
     stands = rows[among_porous | among_static | (ground[rows] & ~is_clear)]
