@@ -95,6 +95,8 @@ class GroundParameters(_Stage):
       until one does.
     - A seed's plane goes through the mean of its neighbours, not through the seed: the lowest point
       is often a ghost return below the road.
+    - Of a LiDAR that stands (all poses within 2 m) the nearest voxels are often of one ring. Where
+      they lie on a line that is too steep, eight times as many tell the plane.
     - Chunks overlap by 100 m of path; the paper is silent on their borders. Labels do not depend on
       ``chunk_length``, but memory does.
     - Path length leaves out steps shorter than 5 cm, which a standing sensor's jitter makes.

@@ -48,26 +48,32 @@ def neighbours(points, tree, front, k):
     return np.take_along_axis(near, np.lexsort((z, y, x, squared), axis=1)[:, :k], axis=1)
 
 
-def grow(points, seeds, k, plane_distance, max_slope_deg, ground=None):
+def grow(points, seeds, p, stands=False, ground=None):
     """Which points the front reaches, beside those that are ground already."""
     tree = cKDTree(points)
     ground = np.zeros(len(points), dtype=bool) if ground is None else ground.copy()
-    front = np.unique(seeds)
+    seeds = front = np.unique(seeds)
     ground[front] = True
-    first = True
-    while len(front) and len(points) >= 3:
-        near = neighbours(points, tree, front, k)
+    lines = set()  # steep ones, of which more neighbours tell the plane
+    while len(points) >= 3 and (len(front) or lines):
+        is_wide = not len(front)
+        if is_wide:
+            front, lines = np.array(sorted(lines)), set()
+        near = neighbours(points, tree, front, 8 * p.neighbors if is_wide else p.neighbors)
         d = points[near] - points[front][:, None]
         centred = d - d.mean(axis=1, keepdims=True)
-        normal = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))[1][:, :, 0]
-        upright = np.abs(normal[:, 2]) >= np.cos(np.radians(max_slope_deg))
-        # The first front are the seeds: their plane goes through the mean.
-        from_plane = centred if first else d
-        on_plane = np.abs(np.einsum("nki,ni->nk", from_plane, normal)) < plane_distance
+        spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))
+        normal = axes[:, :, 0]
+        upright = np.abs(normal[:, 2]) >= np.cos(np.radians(p.max_slope_deg))
+        is_line = spread[:, 1] <= near.shape[1] * p.plane_distance**2
+        if stands and not is_wide:
+            lines |= set(front[is_line & ~upright].tolist())
+        # The plane of a seed goes through the mean.
+        from_plane = np.where(np.isin(front, seeds)[:, None, None], centred, d)
+        on_plane = np.abs(np.einsum("nki,ni->nk", from_plane, normal)) < p.plane_distance
         reached = np.unique(near[on_plane & upright[:, None]])
         front = reached[~ground[reached]]
         ground[front] = True
-        first = False
     return ground
 
 
@@ -95,14 +101,15 @@ def label_sweeps(sweeps, poses, p):
     world = [to_world(s, T, origin) for s, T in zip(sweeps, poses, strict=True)]
     _, points, voxel = centroids(np.concatenate(world), p.voxel_size)
     radius = p.seed_radius
+    stands = np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0)) < 2
     while True:
         seeds = [seed(points, T[:3, 3] - origin, radius, p.seed_quantile) for T in poses]
-        ground = grow(points, seeds, p.neighbors, p.plane_distance, p.max_slope_deg)
+        ground = grow(points, seeds, p, stands)
         widens = p.seed_quantile > 0 and ground.sum() < 0.01 * len(points)
         if not widens or radius >= 16:
             break
         radius *= 2
     while p.step_height and (seeds := behind_steps(points, ground, p)):
-        ground = grow(points, seeds, p.neighbors, p.plane_distance, p.max_slope_deg, ground)
+        ground = grow(points, seeds, p, stands, ground)
     ends = np.cumsum([len(s) for s in sweeps])[:-1]
     return np.split(ground[voxel], ends), int(ground.sum())

@@ -92,6 +92,29 @@ def test_labels_equal_plain_growing(noise):
     assert 0.3 < ground.mean() < 0.9
 
 
+@pytest.mark.parametrize(("step_height", "least"), [(0, 0.5), (0.25, 0.99)])
+def test_rings_of_a_lidar_that_stands_are_ground(step_height, least):
+    """Points err by 2 cm along the rays: those of a ring seem to lie on a slope of 20 degrees."""
+    rng = np.random.default_rng(1)
+    rays = []
+    for depression in np.radians(np.arange(20.0, 8.0, -1.2)):
+        azimuth = np.arange(0, 2 * np.pi, 0.005)
+        flat = np.cos(depression)
+        down = np.full(len(azimuth), -np.sin(depression))
+        rays.append(np.column_stack([flat * np.cos(azimuth), flat * np.sin(azimuth), down]))
+    rays = np.concatenate(rays)
+    box = np.array([4.0, 1.0, -1.5]) + rng.uniform(0, 1, (2000, 3))
+    sweeps = []
+    for _ in range(8):
+        distance = -1.7 / rays[:, 2] + rng.normal(0, 0.02, len(rays))
+        sweeps.append(np.concatenate([distance[:, None] * rays, box]).astype(np.float32))
+    poses = np.tile(np.eye(4), (8, 1, 1))
+    p = GroundParameters(seed_radius=6.0, step_height=step_height)
+    ground = assert_equals_reference(sweeps, poses, p).reshape(8, -1)
+    assert ground[:, : len(rays)].mean() > least
+    assert ground[:, len(rays) :].mean() < 0.1
+
+
 def test_ties_of_distance_are_resolved_alike():
     """A perfect lattice is nothing but ties."""
     x, y = np.meshgrid(np.arange(-15, 15), np.arange(-15, 15))

@@ -1,10 +1,12 @@
 #include "docdepth/ground/ground.hpp"
 
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <array>
 #include <atomic>
 #include <cmath>
 #include <condition_variable>
+#include <limits>
 #include <map>
 #include <mutex>
 #include <shared_mutex>
@@ -32,20 +34,27 @@ constexpr std::size_t kLeavesAtOnce = 8;
 constexpr double kFirstReach = 0.7;
 /// After a search that was too short, reach farther than needed by this factor, for other points.
 constexpr double kReachMargin = 1.2;
+/// Where the nearest points lie on a line, so many times as many tell the plane.
+constexpr std::size_t kWider = 8;
+/// A LiDAR stands if all its poses lie within this [m]: its rings do not fill the ground.
+constexpr double kStanding = 2.0;
 
 /// The front: the points that it has reached, which of them have passed it on, and the leaves that
 /// hold the others. What it reaches in the end does not depend on the order, so threads take leaves
 /// freely.
 class Front {
  public:
-  Front(const Octree& tree, const GroundParameters& parameters, int threads,
+  /// @param stands  whether the LiDAR stands
+  Front(const Octree& tree, const GroundParameters& parameters, bool stands, int threads,
         const std::atomic<bool>& stopped)
       : tree_(tree),
         parameters_(parameters),
+        stands_(stands),
         stopped_(stopped),
         threads_(thread_count(threads)),
         cos_max_slope_(std::cos(parameters.max_slope)),
         labels_(tree.points().size()),
+        widened_(tree.points().size()),
         queued_(tree.nodes().size()),
         reach_(tree.nodes().size(), 0.f) {}
 
@@ -55,7 +64,10 @@ class Front {
     seeds_.insert(std::upper_bound(seeds_.begin(), seeds_.end(), point), point);
     queue(tree_.leaf_of(point), next_);
   }
-  void grow();
+  void grow() {
+    do spread();
+    while (stands_ && widen());
+  }
   bool labelled(std::uint32_t point) const {
     return labels_[point].load(std::memory_order_relaxed) != kNone;
   }
@@ -67,6 +79,11 @@ class Front {
   void queue(std::uint32_t leaf, Leaves& leaves) {
     if (!queued_[leaf].exchange(1)) leaves.push_back(leaf);
   }
+  void spread();
+  bool widen();
+  Neighborhood::Outcome search(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood,
+                               bool whatever) const;
+  bool is_line(Neighborhood& hood) const;
   double first_reach(std::uint32_t leaf) const;
   void visit(std::uint32_t leaf, Neighborhood& hood, Leaves& reached);
   void pass_on(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood,
@@ -74,10 +91,12 @@ class Front {
 
   const Octree& tree_;
   const GroundParameters& parameters_;
+  bool stands_;
   const std::atomic<bool>& stopped_;
   int threads_;
   double cos_max_slope_;
   std::vector<std::atomic<std::uint8_t>> labels_;
+  std::vector<std::uint8_t> widened_;  // points of which it is known whether more tell the plane
   std::vector<std::atomic<std::uint8_t>> queued_;  // leaves that wait for a thread
   std::vector<float> reach_;                       // reach that the last visit of a leaf needed
   std::vector<std::uint32_t> seeds_;               // ascending
@@ -85,7 +104,7 @@ class Front {
 };
 
 /// Threads take leaves from a common list until it is empty and no thread works any more.
-void Front::grow() {
+void Front::spread() {
   std::mutex mutex;
   std::condition_variable changed;
   std::size_t first = 0, working = 0;  // first leaf that is not taken; busy threads
@@ -122,6 +141,64 @@ void Front::grow() {
   next_.clear();
 }
 
+/// Pass the front on where it has come to rest, through points whose nearest ones lie on a steep
+/// line: they are of one ring, and their noise along the rays tells nothing of the surface. More
+/// points do.
+/// @return whether it has reached others
+bool Front::widen() {
+  const auto& nodes = tree_.nodes();
+  const auto k = std::min<std::size_t>(parameters_.neighbors, labels_.size());
+  constexpr auto none = std::numeric_limits<std::uint32_t>::max();  // all leaves are others
+  std::mutex mutex;
+  parallel_for(nodes.size(), 16, threads_, [&](std::size_t begin, std::size_t end) {
+    Neighborhood hood(tree_, labels_, k),
+        wide(tree_, labels_, std::min(kWider * k, labels_.size()));
+    Leaves reached;
+    std::vector<std::uint32_t> pending;
+    for (auto leaf = static_cast<std::uint32_t>(begin); leaf < end; ++leaf) {
+      if (nodes[leaf].children) continue;
+      std::vector<std::uint32_t> points;
+      for (std::uint32_t i = nodes[leaf].begin; i < nodes[leaf].end; ++i)
+        if (!widened_[i] && labels_[i].load() == kDone) points.push_back(i);
+      if (points.empty()) continue;
+      hood.gather(leaf, first_reach(leaf));
+      bool is_gathered = false;
+      for (const std::uint32_t point : points) {
+        widened_[point] = 1;
+        search(point, leaf, hood, true);
+        if (!is_line(hood)) continue;
+        if (!is_gathered) wide.gather(leaf, 2 * hood.reach());
+        is_gathered = true;
+        if (search(point, leaf, wide, false) == Neighborhood::Outcome::kFound)
+          pass_on(point, none, wide, pending, reached);
+      }
+    }
+    const std::lock_guard<std::mutex> lock(mutex);
+    next_.insert(next_.end(), reached.begin(), reached.end());
+  });
+  return !next_.empty();
+}
+
+/// Gather more points until enough are within reach.
+Neighborhood::Outcome Front::search(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood,
+                                    bool whatever) const {
+  for (;;) {
+    const auto outcome = hood.search(point, whatever);
+    if (outcome != Neighborhood::Outcome::kReachTooShort) return outcome;
+    hood.gather(leaf, kReachMargin * std::max(hood.needed_reach(), parameters_.voxel_size));
+  }
+}
+
+/// Whether the neighbours that were found lie on a line, as far as their noise tells, and the plane
+/// through them is too steep for the front.
+bool Front::is_line(Neighborhood& hood) const {
+  const Eigen::Matrix3d spread = hood.covariance(hood.mean());
+  if (std::abs(smallest_eigenvector(spread).z()) >= cos_max_slope_) return false;
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(spread, Eigen::EigenvaluesOnly);
+  const double width = parameters_.plane_distance;
+  return axes.eigenvalues()[1] <= double(hood.nearest().size()) * width * width;
+}
+
 /// Expected distance to the k-th neighbour, as if the points covered the box of the leaf evenly.
 double Front::first_reach(std::uint32_t leaf) const {
   if (reach_[leaf] > 0.f) return reach_[leaf];
@@ -140,21 +217,15 @@ void Front::visit(std::uint32_t leaf, Neighborhood& hood, Leaves& reached) {
   for (std::uint32_t i = node.begin; i < node.end; ++i)
     if (labels_[i].load() == kReached) pending.push_back(i);
   if (pending.empty()) return;
-  double reach = first_reach(leaf);
-  hood.gather(leaf, reach);
+  hood.gather(leaf, first_reach(leaf));
   while (!pending.empty()) {
     const std::uint32_t point = pending.back();
-    const auto outcome = hood.search(point);
-    if (outcome == Neighborhood::Outcome::kReachTooShort) {
-      reach = kReachMargin * std::max(hood.needed_reach(), parameters_.voxel_size);
-      hood.gather(leaf, reach);
-      continue;
-    }
+    const auto outcome = search(point, leaf, hood, false);
     pending.pop_back();
     labels_[point].store(kDone);
     if (outcome == Neighborhood::Outcome::kFound) pass_on(point, leaf, hood, pending, reached);
   }
-  reach_[leaf] = static_cast<float>(reach);
+  reach_[leaf] = static_cast<float>(hood.reach());
 }
 
 /// Label the neighbours on the plane of a front point, unless that is too steep. The plane of a
@@ -328,8 +399,11 @@ std::size_t GroundMap::grow() {
   if (!state.map.size()) return 0;
   const Octree tree(state.map, state.threads);
   const auto points = static_cast<std::uint32_t>(tree.points().size());
+  Eigen::AlignedBox3d extent;
+  for (const Vector3d& position : state.positions) extent.extend(position);
+  const bool stands = extent.diagonal().norm() < kStanding;
   for (double first_radius = state.parameters.seed_radius;; first_radius *= 2.0) {
-    Front front(tree, state.parameters, state.threads, state.stopped);
+    Front front(tree, state.parameters, stands, state.threads, state.stopped);
     std::vector<std::uint32_t> seeds(state.positions.size());
     parallel_for(seeds.size(), 1, state.threads, [&](std::size_t i, std::size_t) {
       const Vector3d& position = state.positions[i];

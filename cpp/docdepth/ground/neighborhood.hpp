@@ -29,7 +29,8 @@ class Neighborhood {
     kReachTooShort,  ///< gather again with needed_reach()
   };
   /// Find the k nearest points of a point of the leaf, including itself.
-  Outcome search(std::uint32_t point);
+  /// @param whatever  also if all of them are labelled
+  Outcome search(std::uint32_t point, bool whatever = false);
 
   /// DepthHypotheses in the order of their points.
   const std::vector<std::uint32_t>& nearest() const { return nearest_; }
@@ -38,6 +39,7 @@ class Neighborhood {
   Eigen::Vector3d offset(std::size_t n) const { return {dx_[n], dy_[n], dz_[n]}; }
   Eigen::Vector3d mean() const;
   Eigen::Matrix3d covariance(const Eigen::Vector3d& mean);
+  double reach() const { return reach_; }  ///< of the last `gather`
   /// Reach that the last search needs, or would have needed.
   double needed_reach() const { return needed_reach_; }
 
