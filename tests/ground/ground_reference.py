@@ -78,17 +78,18 @@ def grow(points, seeds, p, stands=False, ground=None):
 
 
 def behind_steps(points, ground, p):
-    """Low places of cells of a metre without ground, no more than a step from a cell beside it."""
+    """Low places of cells of a metre with little ground, no more than a step from one beside it."""
     cells = np.floor(points[:, :2]).astype(int)
     found, cell, count = np.unique(cells[ground], axis=0, return_inverse=True, return_counts=True)
     height = np.bincount(cell.ravel(), points[ground, 2]) / count
     heights = {tuple(c): h for c, h, n in zip(found, height, count, strict=True)
-               if n >= p.neighbors}  # fmt: skip
+               if 2 * n >= p.neighbors}  # fmt: skip
+    full = {tuple(c) for c, n in zip(found, count, strict=True) if n >= p.neighbors}
     seeds = set()
     for (x, y), h in heights.items():
         for beside in ((x + i, y + j) for i in (-1, 0, 1) for j in (-1, 0, 1)):
             low = lowest(points, np.add(beside, 0.5), 0.5, p.seed_quantile)
-            if beside in heights or low is None or ground[low]:
+            if beside in full or low is None or ground[low]:
                 continue
             if abs(points[low, 2] - h) <= p.step_height:
                 seeds.add(low)

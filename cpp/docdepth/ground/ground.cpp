@@ -256,9 +256,10 @@ void Front::pass_on(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood,
   }
 }
 
-/// Continues the ground behind steps, which the front cannot climb. If a cell of the plan has
-/// ground and its neighbour has none, the low point of the neighbour becomes a seed, provided that
-/// it is higher or lower by at most a step.
+/// Continues the ground behind steps, which the front cannot climb, and behind the gaps of sparse
+/// rings. If a cell of the plan has ground, half as many points as tell a plane, and its neighbour
+/// not as many as these, the low point of the neighbour becomes a seed, provided that it is higher
+/// or lower by at most a step.
 class Plan {
  public:
   /// @param offset  from a corner of a cell to the origin of the points
@@ -276,10 +277,10 @@ class Plan {
     std::vector<std::pair<double, Low*>> steps;  // height of the ground before each
     std::vector<Low*> unsearched;
     for (const auto& [cell, ground] : cells_) {
-      if (!has_ground(cell)) continue;
+      if (2 * ground.points < std::size_t(parameters_.neighbors)) continue;
       for (int n = 0; n < 9; ++n) {
         const Cell neighbor{cell[0] + n / 3 - 1, cell[1] + n % 3 - 1};
-        if (has_ground(neighbor)) continue;
+        if (is_full(neighbor)) continue;
         const auto [low, is_new] = lows_.try_emplace(neighbor);
         if (is_new) unsearched.push_back(&*low);
         steps.emplace_back(ground.heights / double(ground.points), &*low);
@@ -308,7 +309,7 @@ class Plan {
     double heights = 0;  ///< their sum
   };
 
-  bool has_ground(const Cell& cell) const {
+  bool is_full(const Cell& cell) const {
     const auto found = cells_.find(cell);
     return found != cells_.end() && found->second.points >= std::size_t(parameters_.neighbors);
   }
