@@ -7,6 +7,7 @@ import json
 import struct
 import zipfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -21,7 +22,7 @@ from docdepth.datasets import LidarStream
 from docdepth.datasets.cloud_files import RowFormat, read_cloud
 from docdepth.datasets.files import read_image
 from docdepth.datasets.formats.bag import ros_images, ros_points
-from docdepth.datasets.formats.bag.bag_recording import BagLidar
+from docdepth.datasets.formats.bag.bag_recording import BagLidar, _read
 from docdepth.datasets.kitti_files import image_size
 from docdepth.datasets.pose_tables import read_pose_table
 from docdepth.datasets.settings import RecordingSettings, read_settings
@@ -336,7 +337,8 @@ def test_messages_that_are_not_what_they_are_called(tmp_path: Path) -> None:
             return SimpleNamespace(fields=[])
 
     stream = LidarStream("/points", np.zeros(1, np.int64), ["0"])
-    lidar = BagLidar(Bag(), stream, [None])
+    decode = partial(_read, Bag(), "/points", None)
+    lidar = BagLidar(Bag(), stream, [None], decode)
     with pytest.raises(DatasetError, match=r"/points \(frame 0\): it is no sensor_msgs"):
         lidar.read(0)
 
