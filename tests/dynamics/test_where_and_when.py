@@ -57,7 +57,7 @@ def test_the_origin_of_the_world(drive, known, away: float, turn: float) -> None
     world[:3, 3] = away, -0.7 * away, 50.0
     differing = np.mean(labels(drive[0], world @ drive[1]) != known)
     # A point at the border of a voxel may be rounded into the next one.
-    assert differing <= (2e-5 if turn else 0)
+    assert differing <= (5e-5 if turn else 0)
 
 
 @pytest.mark.parametrize("step", [(0, 0, 0), (0, 0, 0.3), (0.2, -0.1, -0.1), (1000.03, 0, 0)])
