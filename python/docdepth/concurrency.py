@@ -22,7 +22,7 @@ from typing import Protocol, SupportsIndex, TypeVar, runtime_checkable
 from docdepth.errors import InputError
 
 MOST_THREADS = 256
-"""Limit on threads: a machine that is asked for a milliard of them stands still."""
+"""Limit on threads: with many thousands a machine stands still."""
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")

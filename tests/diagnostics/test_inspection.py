@@ -272,6 +272,16 @@ def test_halves_of_a_turn_are_named() -> None:
     assert "sweep_duration: 0.1 " in found.remedy
 
 
+@pytest.mark.parametrize("empty", [0, 1])
+def test_a_sweep_without_returns_is_no_part_of_a_turn(empty: int) -> None:
+    def change(sweep: Sweep, index: int) -> Sweep:
+        points = sweep.points * (0 if index == empty else 1)
+        return Sweep(points.astype(np.float32), sweep.name, sweep.time)
+
+    found = codes_of(inspect_recording(Recorded(poses=None, change=change)))
+    assert "mini-sweeps" not in found
+
+
 @pytest.mark.parametrize("broken", [range(COUNT), [COUNT - 1]])
 def test_garbage_is_told_without_more(broken: Sequence[int]) -> None:
     """Warnings of numpy are errors in these tests."""

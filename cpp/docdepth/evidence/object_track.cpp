@@ -17,8 +17,9 @@ constexpr float kMovingFreeShare = 0.05f;
 /// Where this share is transient, the object moves in any case: of sparse ones it is not known
 /// which places were free (kMaxIsolatedShare).
 constexpr float kSurelyTransientShare = 0.99f;
-/// A fence is thinner than this [m]: those that seem to move are 0.21 at most, somebody who walks
-/// is at least 0.26. More than this share of it is porous. So is of people who walk in single file.
+/// A fence is thinner than this [m], and a larger share of it than this is porous. Those that seem
+/// to move are 0.21 m thick at most. People who walk in single file are as porous, but 0.26 m and
+/// more.
 constexpr float kMaxFenceWidth = 0.25f;
 constexpr float kMaxPorousShare = 1 / 3.0f;
 /// What is as long as a car [m], goes so many times its length, and once its length while

@@ -37,7 +37,7 @@ constexpr double kReachMargin = 1.2;
 /// Where the nearest points lie on a line, so many times as many tell the plane.
 constexpr std::size_t kWider = 8;
 /// A LiDAR stands if all its poses lie within this [m]: its rings do not fill the ground.
-constexpr double kStanding = 2.0;
+constexpr double kStandingExtent = 2.0;
 
 /// The front: the points that it has reached, which of them have passed it on, and the leaves that
 /// hold the others. What it reaches in the end does not depend on the order, so threads take leaves
@@ -82,7 +82,7 @@ class Front {
   void spread();
   bool widen();
   Neighborhood::Outcome search(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood,
-                               bool whatever) const;
+                               bool always) const;
   bool is_line(Neighborhood& hood) const;
   double first_reach(std::uint32_t leaf) const;
   void visit(std::uint32_t leaf, Neighborhood& hood, Leaves& reached);
@@ -179,11 +179,11 @@ bool Front::widen() {
   return !next_.empty();
 }
 
-/// Gather more points until enough are within reach.
+/// The neighbours of a point; more points are gathered until enough are within reach.
 Neighborhood::Outcome Front::search(std::uint32_t point, std::uint32_t leaf, Neighborhood& hood,
-                                    bool whatever) const {
+                                    bool always) const {
   for (;;) {
-    const auto outcome = hood.search(point, whatever);
+    const auto outcome = hood.search(point, always);
     if (outcome != Neighborhood::Outcome::kReachTooShort) return outcome;
     hood.gather(leaf, kReachMargin * std::max(hood.needed_reach(), parameters_.voxel_size));
   }
@@ -402,7 +402,7 @@ std::size_t GroundMap::grow() {
   const auto points = static_cast<std::uint32_t>(tree.points().size());
   Eigen::AlignedBox3d extent;
   for (const Vector3d& position : state.positions) extent.extend(position);
-  const bool stands = extent.diagonal().norm() < kStanding;
+  const bool stands = extent.diagonal().norm() < kStandingExtent;
   for (double first_radius = state.parameters.seed_radius;; first_radius *= 2.0) {
     Front front(tree, state.parameters, stands, state.threads, state.stopped);
     std::vector<std::uint32_t> seeds(state.positions.size());

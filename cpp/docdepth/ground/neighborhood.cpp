@@ -114,7 +114,7 @@ void Neighborhood::reserve(std::size_t size) {
   for (auto* column : {&x_, &y_, &z_, &closed_, &squared_}) column->resize(size);
 }
 
-Neighborhood::Outcome Neighborhood::search(std::uint32_t point, bool whatever) {
+Neighborhood::Outcome Neighborhood::search(std::uint32_t point, bool always) {
   const std::uint32_t candidate = point - offset_;
   if (size_ < k_) {
     needed_reach_ = 2.0 * reach_;
@@ -125,7 +125,7 @@ Neighborhood::Outcome Neighborhood::search(std::uint32_t point, bool whatever) {
                     y_[candidate], z_[candidate], squared_.data(), &nearest_open);
   const auto reach = static_cast<float>(reach_ * reach_);
   const float labelled = std::min(nearest_open, reach) - 4.f * error_;
-  if (!whatever && labelled > 0.f && count_within(squared_, padded_, labelled) >= k_)
+  if (!always && labelled > 0.f && count_within(squared_, padded_, labelled) >= k_)
     return Outcome::kNothingNew;
   return select(candidate, radius_of_k());
 }

@@ -29,8 +29,8 @@ class Neighborhood {
     kReachTooShort,  ///< gather again with needed_reach()
   };
   /// Find the k nearest points of a point of the leaf, including itself.
-  /// @param whatever  also if all of them are labelled
-  Outcome search(std::uint32_t point, bool whatever = false);
+  /// @param always  also if all of them are labelled
+  Outcome search(std::uint32_t point, bool always = false);
 
   /// DepthHypotheses in the order of their points.
   const std::vector<std::uint32_t>& nearest() const { return nearest_; }

@@ -103,8 +103,8 @@ def _find_parts_of_turns(recording: Dataset, opened: dict[int, Sweep]) -> list[F
                 _directions(one) for one in (sweep, opened.get(k + 1) or recording.sweep(k + 1))
             ]
             least = min(map(np.count_nonzero, seen))
-            if np.count_nonzero(seen[0] & seen[1]) > _SAME_DIRECTIONS * least:
-                return []
+            if np.count_nonzero(seen[0] & seen[1]) >= _SAME_DIRECTIONS * least:
+                return []  # also where one is empty
             turn = float(np.median(np.diff(recording.times))) * 1e-9 * round(_SECTORS / least)
             return [
                 Finding(

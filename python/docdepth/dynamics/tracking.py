@@ -52,8 +52,8 @@ _PAIRS = 200_000
 """So many pairs of a point and a box are compared at once: where all moves, there are millions."""
 
 MAX_POROUS_SHARE = 0.2
-"""Where more of the places that were found free, and that no track follows, are porous, they stand
-[-]."""
+"""Points that no track follows stand where a larger share of those among them that were found free
+is porous [-]."""
 
 MIN_DYNAMIC_SHARE = 0.5
 """Where less of what was found free is dynamic, what no track follows stands [-]."""
@@ -287,7 +287,8 @@ def withdraw_untracked(
 
     Rays hit and pass fences and twigs in turn, and each sweep hits other parts of them, of which
     some seem to have been free. What is around these tells: where many places that were found free
-    are porous, or most of them stand, a point that seems to move does not.
+    are porous, or most of them stand, a point that seems to move does not. How many are porous is
+    asked only of what no track follows.
 
     Parameters
     ----------
