@@ -13,9 +13,12 @@ from bags import BagWriter, padded_rows, write_drive
 from conformance import check, differences
 from made_up import DISTORTION, DRIVE, EMPTY, SIZE, K
 
+from docdepth.config import Parameters
 from docdepth.datasets import image_streams, open_dataset
 from docdepth.errors import DatasetError
 from docdepth.geometry.se3 import poses_from, rotation_exp
+from docdepth.io.inputs import RunInputs
+from docdepth.pipeline.check import check_inputs
 
 pytest.importorskip("rosbags")
 
@@ -339,6 +342,21 @@ def test_clocks_that_differ_are_named(tmp_path: Path, caplog) -> None:
     assert not caplog.records
 
 
+def test_a_clock_that_is_set_back_is_named(tmp_path: Path, caplog) -> None:
+    times = DRIVE.times.tolist()
+    back = {time: time - (2_000_000_000 if k >= 2 else 0) for k, time in enumerate(times)}
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        for k, time in enumerate(times):
+            bag.write("/points", bag.cloud(padded_rows(k), back[time]), time)
+    open_dataset(tmp_path / "drive")
+    assert "stamps jump back by 1.9 s behind message 1" in caplog.text
+    assert "say stamps: record in" in caplog.text
+    caplog.clear()
+    say(tmp_path / "drive", stamps="record")
+    assert open_dataset(tmp_path / "drive").times.tolist() == times
+    assert "jump back" not in caplog.text
+
+
 # ---- several topics
 
 
@@ -410,6 +428,14 @@ def test_bags_without_or_with_broken_metadata(tmp_path: Path, kind: str, metadat
     again = open_dataset(path)
     check(again, "bag")
     assert differences(again.sweep(3), right.sweep(3)) == []
+
+
+def test_a_run_may_lie_beside_a_recording_that_is_a_file(tmp_path: Path) -> None:
+    """As in ``docdepth run drive.bag -o run``."""
+    bag = write_drive(tmp_path / "drive.bag", "ros1")
+    inputs = RunInputs(recording=bag, camera="none")
+    found = check_inputs(inputs, Parameters(), tmp_path / "run").findings
+    assert [one for one in found if "lies in the recording" in str(one)] == []
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -108,7 +108,9 @@ def check_opened(
     for stream in cameras:
         found += check_camera(recording, stream, sweeps)
     if output is not None:
-        folders = sorted({file.parent for file in files[0]}) if files else []
+        # Beside a recording that is a file, such as a bag, lies whatever its folder holds.
+        in_folder = files and recording.path.is_dir()
+        folders = sorted({file.parent for file in files[0]}) if in_folder else []
         found += _check_output(output, folders, recording.path)
     points = np.array([len(sweep.points) for sweep in sweeps.values()] or [0])
     needed = estimate(points, len(files), cameras, parameters, jobs)
