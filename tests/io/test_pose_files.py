@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from docdepth.datasets.pose_tables import read_poses_at
 from docdepth.errors import OdometryError
 from docdepth.geometry.se3 import poses_from, rotation_exp
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.frames import write_trajectory
 from docdepth.io.ply import write_vertices
-from docdepth.io.poses import read_poses, read_poses_at, read_tum, write_kitti, write_tum
+from docdepth.io.poses import read_poses, read_tum, write_kitti, write_tum
 
 POSE = np.eye(4)[None]
 
@@ -126,3 +127,26 @@ def test_times_of_another_clock_are_compared_by_it(tmp_path: Path, caplog) -> No
     read_poses_at(tmp_path / "p.txt", given.times)
     (record,) = caplog.records
     assert "by the clock of the sweeps, sweep 1 of" in record.getMessage()
+
+
+def test_poses_of_another_rate_are_interpolated(tmp_path: Path) -> None:
+    """Ten a sweep, and every second sweep alone."""
+    given = turning(9)
+    fine = given.times[0] + np.linspace(0, np.ptp(given.times), 81).astype(np.int64)
+    write_tum(tmp_path / "fine.txt", Trajectory(fine, given.interpolate(fine)))
+    found = read_poses_at(tmp_path / "fine.txt", given.times)
+    np.testing.assert_allclose(found, given.poses, atol=1e-8)
+    write_tum(tmp_path / "half.txt", Trajectory(given.times[::2], given.poses[::2]))
+    found = read_poses_at(tmp_path / "half.txt", given.times)
+    np.testing.assert_allclose(found[::2], given.poses[::2], atol=1e-8)
+    between = Trajectory(given.times[::2], given.poses[::2]).interpolate(given.times[1::2])
+    np.testing.assert_allclose(found[1::2], between, atol=1e-8)
+    write_tum(tmp_path / "part.txt", Trajectory(fine[:60], given.interpolate(fine[:60])))
+    with pytest.raises(OdometryError, match="60 poses for 9 sweeps, and none near sweep 8"):
+        read_poses_at(tmp_path / "part.txt", given.times)
+    write_tum(tmp_path / "late.txt", Trajectory(fine + 10**13, given.interpolate(fine)))
+    with pytest.raises(OdometryError, match="81 poses for 9 sweeps, at times of another clock"):
+        read_poses_at(tmp_path / "late.txt", given.times)
+    write_kitti(tmp_path / "kitti.txt", given.poses[:8])
+    with pytest.raises(OdometryError, match="8 poses for 9 sweeps; bring one pose a sweep"):
+        read_poses_at(tmp_path / "kitti.txt", given.times)

@@ -67,6 +67,24 @@ def test_another_mask_draws_the_maps_again(small, tmp_path):
         assert np.isnan(depth[~seen[::-1]]).all()
 
 
+@pytest.mark.parametrize(
+    "corners",
+    [
+        [[float("nan"), 0], [5, 5], [9, 0]],
+        [[1e30, 0], [5, 5], [9, 0]],
+        [[-9, -9], [999, -9], [999, 999], [-9, 999]],
+        [[-9, -9], [-3, -9], [-3, -3]],
+        [[1, 1], [5, 5]],
+    ],
+)
+def test_polygons_that_cover_nothing_or_all(small, tmp_path, corners):
+    other = write_small_drive(tmp_path / "drive", images=False)
+    text = str(corners).replace("nan", ".nan")
+    (other / "docdepth.yaml").write_text(f"masks: {{image_2: {text}}}\n")
+    with pytest.raises(DocDepthError, match="polygon"):
+        docdepth.run(other, tmp_path / "run", image_size=f"{WIDTH}x{HEIGHT}")
+
+
 def test_wrong_masks(small, tmp_path):
     drive, _, mask, _ = small
     with pytest.raises(ConfigError, match="CAMERA:FILE"):

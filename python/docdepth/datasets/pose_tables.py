@@ -6,6 +6,7 @@ where the vehicle stood or where the satellites were lost.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable
 from decimal import Decimal, InvalidOperation
 from math import isfinite
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.files import is_there, read_lines
-from docdepth.errors import DatasetError, InputError
+from docdepth.errors import DatasetError, InputError, OdometryError
 from docdepth.geometry.se3 import (
     check_rigid,
     inverse,
@@ -27,6 +28,9 @@ from docdepth.geometry.se3 import (
     se3_log,
 )
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.poses import pose_times, read_poses, warn_of_other_times
+
+log = logging.getLogger(__name__)
 
 # Between poses farther apart in time and in space, a sweep has none: what the vehicle did is open.
 _LONGEST_GAP = 250_000_000  # ns
@@ -130,6 +134,40 @@ def poses_of_angles(
     """
     roll, pitch, yaw = (rotation_exp(roll_pitch_yaw * axis) for axis in np.eye(3))
     return poses_from(list(yaw @ pitch @ roll), positions)
+
+
+def read_poses_at(path: Path, times: NDArray[np.int64]) -> NDArray[np.float64]:
+    """The poses (n, 4, 4) of sweeps at these times [ns], from a file of any format.
+
+    One pose for each sweep is taken in the order of the sweeps, and a warning tells where the file
+    has other times. More or fewer that have times on the clock of the sweeps are interpolated.
+    """
+    poses, own = read_poses(path), pose_times(path)
+    if len(poses) == len(times):
+        warn_of_other_times(path, times)
+        return poses
+    if own is None or len(own) != len(poses) or (np.diff(own) <= 0).any():
+        raise OdometryError(
+            f"{path} has {len(poses)} poses for {len(times)} sweeps; bring one pose a sweep, in "
+            "the order of the sweeps, or TUM with increasing times, which are interpolated"
+        )
+    try:
+        found = continue_ends(poses_at(own, poses, times, path), own, poses, times)
+    except DatasetError as error:
+        raise OdometryError(
+            f"{path} has {len(poses)} poses for {len(times)} sweeps, at times of another clock: "
+            f"{error}"
+        ) from None
+    lacking = np.flatnonzero(np.isnan(found).any(axis=(1, 2)))
+    if len(lacking):
+        more = f" and {len(lacking) - 1} more" if len(lacking) > 1 else ""
+        raise OdometryError(
+            f"{path} has {len(poses)} poses for {len(times)} sweeps, and none near sweep "
+            f"{lacking[0]} at {times[lacking[0]] * 1e-9:.3f} s{more}; bring poses that are at most "
+            "0.25 s or 1 m apart, or choose `frames` that have some"
+        )
+    log.info("%s: %d poses are interpolated to %d sweeps", path, len(poses), len(times))
+    return found
 
 
 def poses_at(

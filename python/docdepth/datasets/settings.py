@@ -25,15 +25,16 @@ from pydantic import (
 
 from docdepth.datasets.files import FILE, is_there, read_image, read_lines, settings_file
 from docdepth.datasets.point_times import Instant, Unit
+from docdepth.datasets.pose_tables import read_poses_at
 from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.geometry.camera import Camera, camera_of
 from docdepth.geometry.se3 import check_rigid, if_mirrored, nearest_rigid
 from docdepth.io.inputs import MOST_BOXES
-from docdepth.io.poses import read_poses_at
 from docdepth.io.untrusted import parse_yaml
 
 _WHOLE = 1e-9  # of a rotation's numbers; larger errors come of missing digits
 _WORDS = {"Input should be": "it must be", "a valid boolean": "true or false", "a valid": "a"}
+_MOST_PIXELS = 1e6  # of a corner of a mask, which may lie beside the image
 _MOST_METRES = 100.0  # of a sensor from the origin of its frame; more is a mistake of units
 
 
@@ -265,10 +266,19 @@ def camera_mask(camera: Camera, mask: Mask) -> NDArray[np.bool_]:
                 "where nothing of the world is seen"
             )
         return seen
-    if len(mask) < 3:
-        raise CalibrationError(f"a mask is a polygon of [x, y] corners, at least three; got {mask}")
+    corners = np.array(mask, np.float64).reshape(-1, 2)
+    if len(corners) < 3 or not (np.abs(corners) < _MOST_PIXELS).all():
+        raise CalibrationError(
+            f"a mask is a polygon of [x, y] corners, at least three, in pixels; got {mask}"
+        )
     hidden = np.zeros((camera.height, camera.width), np.uint8)
-    cv2.fillPoly(hidden, [np.rint(mask).astype(np.int32)], 1)
+    cv2.fillPoly(hidden, [np.rint(corners).astype(np.int32)], 1)
+    if hidden.all() or not hidden.any():
+        raise CalibrationError(
+            f"the polygon {mask} of a mask covers {'all' if hidden.all() else 'none'} of the "
+            f"{camera.width}x{camera.height} pixels of its camera; give the corners around what "
+            "shows nothing of the world"
+        )
     return hidden == 0
 
 

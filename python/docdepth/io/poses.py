@@ -68,33 +68,26 @@ def read_poses(path: Path | str, count: int | None = None) -> NDArray[np.float64
     return _from_tum(rows, path) if rows.shape[1] == 8 else _from_kitti(rows, path)
 
 
-def read_poses_at(path: Path | str, times: NDArray[np.int64]) -> NDArray[np.float64]:
-    """The poses of sweeps at these times [ns].
+def pose_times(path: Path | str) -> NDArray[np.int64] | None:
+    """The times in a file of poses [ns], in any order; None where it has none."""
+    path = Path(path)
+    if path.suffix.lower() == ".ply":
+        return read_trajectory(path)[0].times
+    if path.suffix.lower() == ".npy" or len(_lines(path)[0].split()) != 8:
+        return None
+    try:
+        return np.array([_nanoseconds(line) for line in _lines(path)], np.int64)
+    except OverflowError:
+        return None
 
-    They are taken in the order of the sweeps. A warning tells where the file has other times.
-    """
-    poses = read_poses(path, len(times))
-    _warn_of_other_times(Path(path), times)
-    return poses
 
-
-def _warn_of_other_times(path: Path, times: NDArray[np.int64]) -> None:
-    """Log a warning if poses are of other times than the sweeps.
+def warn_of_other_times(path: Path, times: NDArray[np.int64]) -> None:
+    """Log a warning if a file with a pose for each sweep has other times than the sweeps.
 
     Times on another clock, or that only count, tell nothing.
     """
-    if path.suffix.lower() == ".npy" or len(times) < 2:
-        return
-    if path.suffix.lower() == ".ply":
-        own = read_trajectory(path)[0].times
-    elif len(_lines(path)[0].split()) == 8:
-        try:
-            own = np.array([_nanoseconds(line) for line in _lines(path)], np.int64)
-        except OverflowError:
-            return
-    else:
-        return
-    if len(own) != len(times):
+    own = pose_times(path)
+    if own is None or len(own) != len(times) or len(times) < 2:
         return
     other_clock = 0
     if own.max() < times[0] or own.min() > times[-1]:

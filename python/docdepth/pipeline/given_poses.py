@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from docdepth.config import OdometryParameters
 from docdepth.datasets import Dataset, FrameRange, full_recording
+from docdepth.datasets.pose_tables import read_poses_at
 from docdepth.datasets.sensor_pose import LevelledRecording
 from docdepth.errors import DatasetError, OdometryError
 from docdepth.geometry.se3 import inverse
 from docdepth.io.inputs import OWN_POSES, camera_and_file
-from docdepth.io.poses import read_poses, read_poses_at
+from docdepth.io.poses import pose_times, read_poses
 from docdepth.odometry.pose_checks import misfit, move_upwards
 
 _WRONG, _TIMES = 0.1, 3.0
@@ -40,7 +41,7 @@ def read_given_poses(entry: str, recording: Dataset) -> NDArray[np.float64]:
         return recording.poses
     whole = full_recording(recording)
     camera, file = camera_and_file(entry)
-    of_part = _are_of_part(Path(file), recording)
+    of_part = _are_of_part(Path(file), recording, len(whole))
     poses = read_poses_at(Path(file), recording.times if of_part else whole.times)
     if camera:
         poses = _of_lidar(poses, camera, whole)
@@ -51,16 +52,18 @@ def read_given_poses(entry: str, recording: Dataset) -> NDArray[np.float64]:
     return poses
 
 
-def _are_of_part(file: Path, recording: Dataset) -> bool:
+def _are_of_part(file: Path, recording: Dataset, whole: int) -> bool:
     """Whether a file has the poses of a range of sweeps alone, as a run of it writes them.
 
-    Where sweeps amid the range are left out, only the whole recording tells which pose is whose.
+    Where sweeps amid the range are left out, only the ``whole`` recording, or times, tell which
+    pose is whose.
     """
     if not isinstance(recording, FrameRange):
         return False
-    indices = recording.indices
-    gapless = indices[-1] - indices[0] + 1 == len(indices)
-    return gapless and len(read_poses(file)) == len(indices)
+    indices, count = recording.indices, len(read_poses(file))
+    if count == len(indices):
+        return bool(indices[-1] - indices[0] + 1 == len(indices))
+    return count != whole and pose_times(file) is not None
 
 
 def refuse_poses_of_a_camera(
