@@ -133,6 +133,15 @@ WRONG: dict[str, tuple[Callable[[list[np.ndarray]], Any], str]] = {
         lambda s: docdepth.Trajectory(TIMES, np.ma.masked_equal(POSES, POSES[1, 0, 3])),
         "frame 1 is not a rotation",
     ),
+    "complex poses": (lambda s: docdepth.Trajectory(TIMES, POSES * (1 + 0j)), "real numbers"),
+    "a time that is none": (
+        lambda s: docdepth.Trajectory(np.array(["2020-01-01", "NaT"] * 2, "M8[ns]"), POSES),
+        "NaT",
+    ),
+    "masked rows with names": (
+        lambda s: docdepth.classify_drive([np.ma.array(np.zeros(9, "f4,f4,f4"))] * 4, TRAJECTORY),
+        "masked",
+    ),
     "masked times": (
         lambda s: docdepth.Trajectory(np.ma.masked_equal(TIMES, TIMES[1]), POSES),
         "masked; say what they are",
@@ -154,6 +163,7 @@ def test_wrong_arguments_of_rendering_are_named(sweeps, labels) -> None:
         ((scene, "image_02", 0), "CameraStream"),
         ((STREAM, scene, 0), "Scene"),
         ((scene, STREAM, 1.0), "integer"),
+        ((scene, STREAM, True), "integer"),
         ((scene, STREAM, None, 0.1), "nanoseconds"),
         ((scene, STREAM, 0, None, 0, "cpu"), "Renderer"),
     ]:

@@ -15,6 +15,7 @@ from kitti_drives import T_camera0_lidar, numbers
 from writers import truncate
 
 from docdepth.datasets import open_dataset
+from docdepth.datasets.cloud_files import RowFormat, read_cloud
 from docdepth.errors import CalibrationError, DatasetError
 
 Change = Callable[[Path], object]
@@ -167,6 +168,19 @@ def test_chunks_that_a_file_is_too_short_for(tmp_path: Path) -> None:
     file.write_bytes(whole)
     with pytest.raises(DatasetError, match=rf"{file.name} .* more chunks than it has bytes"):
         open_dataset(path).sweep(0)
+
+
+def test_points_that_a_file_is_too_short_for(tmp_path: Path) -> None:
+    """laspy reads those that are there, and only logs how many."""
+    laspy = pytest.importorskip("laspy")
+    las = laspy.create(point_format=1)
+    las.x = las.y = las.z = np.arange(9.0)
+    las.write(str(tmp_path / "a.las"))
+    content = bytearray((tmp_path / "a.las").read_bytes())
+    content[107:111] = (11).to_bytes(4, "little")
+    (tmp_path / "a.las").write_bytes(content)
+    with pytest.raises(DatasetError, match=r"frame 3.* holds 9 of 11 points"):
+        read_cloud(tmp_path / "a.las", "frame 3", RowFormat())
 
 
 def test_records_that_a_file_is_too_short_for(tmp_path: Path) -> None:

@@ -80,6 +80,57 @@ def test_one_sweep_with_other_columns_is_refused(tmp_path: Path) -> None:
         read_cloud(file, "a", told)
 
 
+@pytest.mark.parametrize("kind", ["c8", "?", "U9", "M8[s]"])
+def test_coordinates_that_are_no_numbers(tmp_path: Path, kind: str) -> None:
+    values = np.arange(12).reshape(-1, 3)
+    np.save(tmp_path / "a.npy", xyz(values.astype(kind)))
+    with pytest.raises(DatasetError, match=r"frame 3.* holds x, y and z as .*numbers in metres"):
+        read_cloud(tmp_path / "a.npy", "frame 3", RowFormat())
+
+
+@pytest.mark.parametrize("content", ["1.5 2.5 -3 0\n" * 40, "1,5 2,5 3 0\n" * 41, "5;6;7\r\n" * 99])
+def test_text_in_place_of_rows_is_named(tmp_path: Path, content: str) -> None:
+    (tmp_path / "a.bin").write_text(content)
+    with pytest.raises(DatasetError, match=r"frame 3.* holds numbers as text"):
+        read_cloud(tmp_path / "a.bin", "frame 3", RowFormat())
+
+
+@pytest.mark.parametrize(
+    "columns", [[], ["x", "y", "z", "x"], ["x", "y", "intensity"], ["X", "x", "y", "z"]]
+)
+def test_columns_name_each_value_once(tmp_path: Path, columns: list[str]) -> None:
+    folder = WRITERS["folder of bin"][1](tmp_path).path
+    change(folder, columns=columns)
+    with pytest.raises(DatasetError, match=r"docdepth.yaml: columns must name x, y and z"):
+        open_dataset(folder)
+
+
+WINDOWS = ("1.#QNAN", "-1.#IND", "1.#INF", "-nan(ind)", "nan(snan)")
+TEXTS = {
+    "ply": "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+    "property float z\nend_header\n",
+    "pcd": "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 3\nHEIGHT 1\nDATA ascii\n",
+}
+
+
+@pytest.mark.parametrize("suffix", TEXTS)
+@pytest.mark.parametrize("word", WINDOWS)
+def test_what_windows_calls_no_number(tmp_path: Path, suffix: str, word: str) -> None:
+    (tmp_path / f"a.{suffix}").write_text(f"{TEXTS[suffix]}1 2 3\n{word} 5 6\n7 8 9\n")
+    points = read_cloud(tmp_path / f"a.{suffix}", "a", RowFormat()).points
+    np.testing.assert_array_equal(points, [[1, 2, 3], [np.nan, 5, 6], [7, 8, 9]])
+
+
+@pytest.mark.parametrize("suffix", TEXTS)
+@pytest.mark.parametrize(("word", "told"), [("4,5", "'4,5', whose decimals"), ("four", "'four'")])
+def test_a_word_that_is_no_number_is_named(
+    tmp_path: Path, suffix: str, word: str, told: str
+) -> None:
+    (tmp_path / f"a.{suffix}").write_text(f"{TEXTS[suffix]}1 2 3\n{word} 5 6\n7 8 9\n")
+    with pytest.raises(DatasetError, match=f"frame 3.*no number.*{told}"):
+        read_cloud(tmp_path / f"a.{suffix}", "frame 3", RowFormat())
+
+
 # ---- PCD
 
 

@@ -147,3 +147,15 @@ def test_seconds_of_a_sweep_survive_the_way_to_shares_and_back(period):
     seconds = whole * rng.uniform(-1.6, 1.6, 100_000).astype(np.float32)
     assert seconds.dtype == np.float32
     np.testing.assert_array_equal(whole * (seconds / whole), seconds)
+
+
+def test_a_counter_that_begins_anew_within_a_sweep(caplog):
+    """As each hour in the packets of Velodyne; the others of the drive keep their times."""
+    hour = 3600 * 10**9
+    late = [relative(lambda s: (s + SHARES * PERIOD) % hour / 1e9, [s])[0] for s in STAMPS[:1]]
+    stamps = [*(s - STAMPS[0] % hour for s in STAMPS), STAMPS[0] - STAMPS[0] % hour - PERIOD // 2]
+    found = relative(lambda s: (s + SHARES * PERIOD) % hour / 1e9, stamps)
+    assert found is not None
+    for one in found[:3]:
+        np.testing.assert_allclose(one, late[0], atol=1e-4)
+    assert found[3] is None  # told of this sweep alone

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import struct
 import zipfile
 from collections.abc import Callable
@@ -23,7 +24,7 @@ from docdepth.datasets.cloud_files import RowFormat, read_cloud
 from docdepth.datasets.files import read_image
 from docdepth.datasets.formats.bag import ros_images, ros_points
 from docdepth.datasets.formats.bag.bag_recording import BagLidar, _read
-from docdepth.datasets.kitti_files import image_size
+from docdepth.datasets.kitti_files import Calibration, image_size
 from docdepth.datasets.pose_tables import read_pose_table
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.datasets.times import read_times
@@ -32,6 +33,7 @@ from docdepth.errors import (
     ConfigError,
     DamagedFileError,
     DatasetError,
+    DocDepthError,
     InputError,
     OdometryError,
     RunError,
@@ -294,6 +296,13 @@ def test_trees_without_end() -> None:
             parse_yaml(text)
     with pytest.raises(ValueError, match="too deep"):
         parse_json(DEEP)
+
+
+def test_texts_have_a_limit(tmp_path: Path) -> None:
+    (tmp_path / "calib.txt").write_text("P2: 1\n")
+    os.truncate(tmp_path / "calib.txt", 3 << 30)  # no place on the disk
+    with pytest.raises(DocDepthError, match=r"calib.txt cannot be read .it has 3.2 GB"):
+        Calibration(tmp_path / "calib.txt", "restore it")
 
 
 # ---- messages of bags

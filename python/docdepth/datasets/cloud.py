@@ -140,6 +140,10 @@ def cloud_from_fields(rows: NDArray[Any], where: str) -> Cloud:
         raise DatasetError(
             f"{where} has several values of x, y or z in a row; write one point a row"
         )
+    if strange := [str(column.dtype) for column in xyz if column.dtype.kind not in "fiu"]:
+        raise DatasetError(
+            f"{where} holds x, y and z as {strange[0]}; write them as numbers in metres"
+        )
     doubles = any(column.dtype.itemsize > 4 for column in xyz)
     points = np.stack([np.asarray(c, np.float64 if doubles else np.float32) for c in xyz], axis=-1)
     _check_rounding(points, where)

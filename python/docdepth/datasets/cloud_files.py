@@ -34,6 +34,7 @@ from docdepth.io.untrusted import ArrayError, open_file, read_array, read_file
 
 NANOSECOND, MICROSECOND = 1, 1000
 _RECORD = 54  # bytes at least of a record with a variable length (VLR) of a LAS file
+_BEGINNING, _OF_NUMBERS = 64, b"0123456789+-.,;eE \t\r\n"  # bytes of a file; those of a text
 KITTI_COLUMNS = ("x", "y", "z", "intensity")
 
 
@@ -103,6 +104,10 @@ def _read_ply(file: Path, where: str, rows: RowFormat) -> Cloud:
 
 def _read_bin(file: Path, where: str, rows: RowFormat) -> Cloud:
     content = read_file(file)
+    if content and not content[:_BEGINNING].strip(_OF_NUMBERS):
+        raise DatasetError(
+            f"{where} holds numbers as text; write them as binary {rows.dtype}, or as a PLY or PCD"
+        )
     step = np.dtype(rows.dtype).itemsize * len(rows.columns)
     if not content or len(content) % step:
         raise DatasetError(
@@ -154,6 +159,10 @@ def _read_las(file: Path, where: str, rows: RowFormat) -> Cloud:
         raise DatasetError(f"{where} tells of more records than it has bytes; copy it again")
     with library_errors(where, "copy it again"):
         las = laspy.read(io.BytesIO(content))
+    if len(las.points) < las.header.point_count:  # which laspy only logs
+        raise DatasetError(
+            f"{where} holds {len(las.points)} of {las.header.point_count} points; copy it again"
+        )
     columns: dict[str, NDArray[Any]] = {axis: np.asarray(las[axis], "f8") for axis in "xyz"}
     columns["intensity"] = np.asarray(las.intensity, "f4")
     if "gps_time" in las.point_format.dimension_names:

@@ -22,7 +22,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, 
 
 from docdepth.errors import CalibrationError, DatasetError, DocDepthError, MissingExtraError
 from docdepth.io.images import decode_photo
-from docdepth.io.untrusted import read_file
+from docdepth.io.untrusted import read_file, read_text
 
 _Opened = TypeVar("_Opened")
 _File = TypeVar("_File")
@@ -75,7 +75,9 @@ def read_bytes(file: Path, remedy: str, where: str = "") -> bytes:
 def read_lines(file: Path, remedy: str) -> list[str]:
     """The lines of a text file without blank ones at its end."""
     try:
-        return read_bytes(file, remedy).decode("utf-8-sig").rstrip().splitlines()
+        return read_text(file, "utf-8-sig").rstrip().splitlines()
+    except OSError as error:
+        raise unreadable(file, remedy, error) from None
     except UnicodeDecodeError:
         raise DatasetError(f"{file} is not a text file; {remedy}") from None
 

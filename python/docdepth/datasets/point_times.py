@@ -119,12 +119,17 @@ def find_point_times(
     if not samples:
         return None
     kept = [sample.values[sample.usable] for sample in samples]
-    span = max(float(_exact(v.max()) - _exact(v.min())) for v in kept)
-    duration = period or USUAL_PERIOD
+    spans = [float(_exact(v.max()) - _exact(v.min())) for v in kept]
+    duration, span = period or USUAL_PERIOD, max(spans)
     units = [unit] if unit else list(_NANOSECONDS)
-    fitting = [
-        u for u in units if _SHORTEST < span * _NANOSECONDS[u] / duration < LONGEST or u == unit
-    ]
+    fitting = list[Unit]()
+    for u in units:
+        # In a few sweeps a counter begins anew, as each hour in those of Velodyne.
+        whole = [s for s in spans if s * _NANOSECONDS[u] < LONGEST * duration]
+        longest = max(whole, default=0) if 2 * len(whole) > len(spans) else span
+        if _SHORTEST < longest * _NANOSECONDS[u] / duration < LONGEST or u == unit:
+            fitting.append(u)
+            span = longest
     if not fitting or span == 0:
         log.warning(
             "%s: times of points span %g, which is no sweep of %.3g s in s, ms, us or ns; they are "

@@ -19,6 +19,7 @@ _MOST_SECONDS = (1 << 63) // 10**9  # int64 holds 292 years of nanoseconds
 _UNITS = {19: 1, 16: 10**3, 13: 10**6, 10: 10**9}
 """Nanoseconds of one count, by the digits of a time since 1970."""
 _SECONDS = re.compile(r"(?<!\d)([1-9]\d{9})[._](\d{1,9})$")
+_PLAIN = re.compile(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?")
 _TABLES = ("times.txt", "timestamps.txt")
 
 
@@ -85,6 +86,8 @@ def _nanoseconds(text: str, line: int, path: Path) -> int:
             if np.isnat(stamp):
                 raise ValueError
             return int(stamp.astype(np.int64))
+        if not _PLAIN.fullmatch(text):  # Decimal takes 0_1, too
+            raise ValueError
         seconds = Decimal(text)
         if text.isascii() and text.isdigit() and len(text) in _UNITS:
             seconds *= Decimal(_UNITS[len(text)]) / 10**9

@@ -105,7 +105,9 @@ def as_array(values: Any) -> NDArray[Any]:
 
 def unmasked(values: Any) -> Any:
     """The same values; floats that a masked array hides are NaN."""
-    if not np.ma.is_masked(values):
+    if not isinstance(values, np.ma.MaskedArray):
+        return values
+    if values.dtype.names is None and not np.ma.is_masked(values):
         return values
     if values.dtype.kind != "f":
         raise InputError(
@@ -166,9 +168,11 @@ def float_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
     """A copy of ``values`` as float64."""
     values = unmasked(values)
     try:
+        if np.iscomplexobj(values):  # NumPy would leave out the imaginary part
+            raise ValueError
         return np.array(values, np.float64)
     except (TypeError, ValueError):
-        raise InputError(f"{name} must be an array of numbers") from None
+        raise InputError(f"{name} must be an array of real numbers") from None
 
 
 def nanoseconds(name: str, values: ArrayLike) -> NDArray[np.int64]:
@@ -182,6 +186,8 @@ def nanoseconds(name: str, values: ArrayLike) -> NDArray[np.int64]:
     except ValueError:
         raise InputError(f"{name} must be an array of integers, nanoseconds") from None
     if array.dtype.kind == "M":
+        if np.isnat(array).any():
+            raise InputError(f"{name}: one of them is NaT, no time")
         array = array.astype("datetime64[ns]").view(np.int64)
     if array.size and array.dtype.kind not in "iu":
         raise InputError(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import MissingExtraError
 from docdepth.io.atomic import write_atomically
-from docdepth.io.untrusted import open_file, read_file
+from docdepth.io.untrusted import ArrayError, open_file, parse_numbers, read_file
 
 _TYPES = {
     "F": {4: "<f4", 8: "<f8"},
@@ -238,8 +238,8 @@ def _read_text(body: bytes, header: PcdHeader) -> NDArray[Any]:
         try:
             if name in (rows.dtype.names or ()):
                 part = table[:, begin] if n == 1 else table[:, begin : begin + n]
-                rows[name] = part.astype(kind)
-        except (ValueError, OverflowError) as error:
+                rows[name] = parse_numbers(part, kind)
+        except ArrayError as error:
             raise PcdError(f"holds a value of {name} that is no number ({error})") from None
         begin += n
     return rows

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError, RunError
 from docdepth.io.atomic import WriteFile, write_atomically
-from docdepth.io.untrusted import open_file
+from docdepth.io.untrusted import ArrayError, open_file, parse_numbers
 
 _BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
@@ -217,9 +217,9 @@ def _read_text(stream: BinaryIO, size: int, element: _Element) -> NDArray[Any]:
     if wrong is not None:
         raise _Damaged(f"row {wrong} has {len(words[wrong])} numbers, not {columns}")
     try:
-        values = np.array(words, dtype="S").astype(np.float64).reshape(len(words), columns)
-    except (ValueError, UnicodeDecodeError):
-        raise _Damaged("a row holds what is no number") from None
+        values = parse_numbers(np.array(words, dtype="S"), "f8").reshape(len(words), columns)
+    except ArrayError as error:
+        raise _Damaged(f"a row holds what is no number: {error}") from None
     rows = np.empty(len(words), dtype)
     for column, name in zip(values.T, dtype.names or (), strict=True):
         if dtype[name].kind in "iu":

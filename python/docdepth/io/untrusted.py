@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import stat
 import zipfile
 from collections.abc import Collection
@@ -28,8 +29,10 @@ _MOST_BITS = 1000  # of a whole number; Python does not even print one of 4300 d
 _MOST_VALUES = 10_000_000
 """Limit on values of YAML once its aliases are expanded ("billion laughs")."""
 
+_OF_WINDOWS = re.compile(rb"[-+]?(?:1\.#(?:[QS]NAN|IND|INF)\d*|nan\([^)]*\))", re.IGNORECASE)
 _LONGEST_HEADER = 10_000  # bytes
 _MOST_BYTES = 4 << 30  # of a file that is read as a whole; a sparse one takes no place on the disk
+_MOST_TEXT = 256 << 20  # bytes of a text; times and poses of a year of sweeps have less
 _MOST_PACKED = 1100  # times as large as its compressed bytes; deflate packs 1032 into one
 
 
@@ -54,23 +57,32 @@ def open_file(path: Path | str) -> BinaryIO:
         raise
 
 
-def read_file(path: Path | str) -> bytes:
+def read_file(path: Path | str, most: int = _MOST_BYTES) -> bytes:
     """The content of a regular file.
 
     Raises
     ------
     OSError
-        As for :func:`open_file`; or no sweep, image or table is as large.
+        As for :func:`open_file`; or it has more than ``most`` bytes.
     """
     with open_file(path) as stream:
-        if (size := os.fstat(stream.fileno()).st_size) > _MOST_BYTES:
-            raise OSError(errno.EFBIG, f"it has {size / 1e9:,.0f} GB", str(path))
+        if (size := os.fstat(stream.fileno()).st_size) > most:
+            gigabytes = f"{size / 1e9:,.1f}".removesuffix(".0")
+            raise OSError(errno.EFBIG, f"it has {gigabytes} GB", str(path))
         return stream.read()
 
 
 def read_text(path: Path | str, encoding: str = "utf-8") -> str:
-    """The content of a text file, its ends of lines as ``\\n``."""
-    return read_file(path).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
+    """The content of a text file, its ends of lines as ``\\n``.
+
+    Raises
+    ------
+    OSError
+        As for :func:`read_file`; no table of times or poses is larger than 256 MB.
+    UnicodeDecodeError
+    """
+    text = read_file(path, _MOST_TEXT).decode(encoding)
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def parse_yaml(text: str) -> Any:
@@ -123,6 +135,28 @@ def _count(tree: Any, known: dict[int, int]) -> int:
 
 class ArrayError(ValueError):
     """What is wrong with a file of arrays, without its name."""
+
+
+def parse_numbers(words: NDArray[np.bytes_], dtype: str) -> NDArray[Any]:
+    """Numbers of a text, each a word; Windows has names of its own for NaN and infinity.
+
+    Raises
+    ------
+    ArrayError
+        A word is no number of this type.
+    """
+    try:
+        return words.astype(dtype)
+    except (ValueError, OverflowError):
+        pass
+    found = np.empty(words.size, dtype)
+    for k, word in enumerate(words.ravel().tolist()):
+        try:
+            found[k] = np.nan if _OF_WINDOWS.fullmatch(word) else np.array(word).astype(dtype)
+        except (ValueError, OverflowError):
+            comma = ", whose decimals have a comma instead of a point" if b"," in word else ""
+            raise ArrayError(f"{word[:60].decode('latin-1')!r}{comma}") from None
+    return found.reshape(words.shape)
 
 
 def read_array(file: Path) -> NDArray[Any]:

@@ -250,7 +250,7 @@ def _stamp(camera: CameraStream, index: int | None, time: int | None) -> int:
         return int(time)
     if index is None or time is not None:
         raise InputError("give either the index of an image or a time [ns]")
-    if not hasattr(index, "__index__"):
+    if not hasattr(index, "__index__") or isinstance(index, bool):
         raise InputError(f"the index of an image is an integer, not {index!r}")
     count = len(camera.times)
     if not -count <= index < count:

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from docdepth.datasets.base import CameraStream, ImageStream, LidarStream, Sweep
 from docdepth.datasets.cloud import FileLidar
@@ -95,6 +95,17 @@ class FolderSettings(CameraRecordingSettings):
     frame: Literal["lidar", "world"] = "lidar"
     labels: str = "labels"
     lidars: dict[str, FolderLidar] = Field(default_factory=dict)
+
+    @field_validator("columns")
+    @classmethod
+    def _are_columns(cls, columns: tuple[str, ...]) -> tuple[str, ...]:
+        named = [name.lower() for name in columns if name != "_"]
+        if not {"x", "y", "z"} <= set(named) or len(set(named)) < len(named):
+            raise ValueError(
+                "columns must name x, y and z, and each value of a point once, as in "
+                f"[x, y, z, intensity, _]; got [{', '.join(columns)}]"
+            )
+        return columns
 
 
 class CloudFolder(Recording):

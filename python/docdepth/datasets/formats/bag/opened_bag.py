@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,10 @@ from docdepth.datasets.formats.bag.bag_file import BagFile, Message
 from docdepth.datasets.formats.bag.bag_frames import StaticFrames
 from docdepth.datasets.settings import CameraSettings, Numbers, RecordingSettings, Strict
 from docdepth.errors import DatasetError
+
+log = logging.getLogger(__name__)
+
+_LATEST = 10**9  # ns; so much later than another a message hardly arrives
 
 
 class BagLidarSettings(Strict):
@@ -84,6 +89,14 @@ class OpenedBag:
                 f"{self.path}, {topic}: headers have no stamps; say stamps: record in {file} to "
                 "take the times of recording"
             )
+        steps = np.diff([m.stamp for m in messages])
+        if len(steps) and steps.min() < -_LATEST:
+            k = int(steps.argmin())
+            log.warning(
+                "%s, %s: stamps jump back by %.1f s behind message %d; messages are taken in the "
+                "order of their stamps. If the clock was set, say stamps: record in %s",
+                self.path, topic, -steps[k] * 1e-9, k, file,
+            )  # fmt: skip
         ordered = sorted(messages, key=lambda m: m.stamp)
         return ordered, self._distinct([m.stamp for m in ordered], topic)
 
