@@ -15,6 +15,7 @@ from made_up import DISTORTION, DRIVE, EMPTY, SIZE, K
 
 from docdepth.config import Parameters
 from docdepth.datasets import image_streams, open_dataset
+from docdepth.datasets.formats.bag import bag_file
 from docdepth.errors import DatasetError
 from docdepth.geometry.se3 import poses_from, rotation_exp
 from docdepth.io.inputs import RunInputs
@@ -428,6 +429,28 @@ def test_bags_without_or_with_broken_metadata(tmp_path: Path, kind: str, metadat
     again = open_dataset(path)
     check(again, "bag")
     assert differences(again.sweep(3), right.sweep(3)) == []
+
+
+@pytest.mark.parametrize("kind", ["bz2", "lz4", "mcap"])
+def test_chunks_that_hold_too_much(tmp_path: Path, kind: str, monkeypatch) -> None:
+    """A few kilobytes unpack to gigabytes."""
+    path = tmp_path / ("drive" if kind == "mcap" else "drive.bag")
+    bag = BagWriter(path, "mcap" if kind == "mcap" else "ros1")
+    if kind == "mcap":
+        from rosbags.rosbag2 import CompressionFormat, CompressionMode
+
+        bag._bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    else:
+        bag._bag.set_compression(type(bag._bag).CompressionFormat[kind.upper()])
+    with bag:
+        for k, time in enumerate(DRIVE.times.tolist()):
+            bag.write("/points", bag.cloud(padded_rows(k), time), time)
+        large = bag.compressed(bytes(1 << 21), int(DRIVE.times[-1]))
+        bag.write("/cam/compressed", large, int(DRIVE.times[-1]))
+    np.testing.assert_array_equal(open_dataset(path).sweep(1).points, DRIVE.points(1))
+    monkeypatch.setattr(bag_file, "_MOST_UNPACKED", 1 << 20)
+    with pytest.raises(DatasetError, match=r"drive.* is damaged .a chunk of [0-9]+ bytes is cut"):
+        open_dataset(path)
 
 
 def test_a_run_may_lie_beside_a_recording_that_is_a_file(tmp_path: Path) -> None:

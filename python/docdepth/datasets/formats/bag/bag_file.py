@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -47,6 +47,9 @@ _DEFINITIONS = {
         )
     },
 }
+
+
+_MOST_UNPACKED = 256 << 20  # bytes of a chunk; recorders begin a new one after some megabytes
 
 
 class Message(NamedTuple):
@@ -161,6 +164,7 @@ def _open_reader(path: Path, files: list[Path]) -> Any:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+    _limit_chunks()
     types = get_typestore(Stores.LATEST)
     for name, text in _DEFINITIONS.items():
         types.register(get_types_from_msg(text, name))
@@ -174,6 +178,35 @@ def _open_reader(path: Path, files: list[Path]) -> Any:
         except Exception as error:
             problem = error
     raise DatasetError(f"{path} cannot be opened ({problem}); {_MEND}") from problem
+
+
+def _limit_chunks() -> None:
+    """Have rosbags unpack no more of a chunk than any LiDAR or camera fills: 100 kB hold 1 GB."""
+    from bz2 import BZ2Decompressor
+
+    from lz4.frame import LZ4FrameDecompressor
+    from rosbags.rosbag1 import reader
+    from rosbags.rosbag2 import storage_mcap
+
+    bz2, lz4 = partial(_unpacked, BZ2Decompressor), partial(_unpacked, LZ4FrameDecompressor)
+    reader.decompressors.update(bz2=bz2, lz4=lz4)
+    # Older releases of rosbags, which ouster-sdk needs, read MCAP in another way.
+    if hasattr(storage_mcap, "DECOMPRESSORS"):
+        zstd = partial(_unpacked, storage_mcap.zstd.ZstdDecompressor)
+        storage_mcap.DECOMPRESSORS["lz4"] = lambda data, _: lz4(data)
+        storage_mcap.DECOMPRESSORS["zstd"] = lambda data, _: zstd(data)
+
+
+def _unpacked(decompressor: Callable[[], Any], data: bytes) -> bytes:
+    parts, left, rest = list[bytes](), _MOST_UNPACKED, data
+    while rest:
+        stream = decompressor()
+        parts.append(stream.decompress(rest, left))
+        left -= len(parts[-1])
+        if not stream.eof:
+            raise ValueError(f"a chunk of {len(data)} bytes is cut off, or holds too much")
+        rest = stream.unused_data
+    return b"".join(parts)
 
 
 def _header(raw: bytes, ros2: bool) -> tuple[int, str]:
