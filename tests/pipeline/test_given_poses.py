@@ -8,17 +8,19 @@ import numpy as np
 import pytest
 
 from command_line import cli
+from docdepth.config import Parameters
 from docdepth.datasets import FrameRange, open_dataset
 from docdepth.errors import DatasetError, OdometryError
 from docdepth.geometry.se3 import inverse
 from docdepth.io.inputs import RunInputs
 from docdepth.io.poses import write_kitti
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.check import check_inputs
 from docdepth.pipeline.given_poses import read_given_poses
 from docdepth.pipeline.plan import states
 from docdepth.pipeline.run_inputs import known_poses, open_recording
-from small_drive import SWEEPS, write_small_drive
-from walled_yard import straight
+from small_drive import SPARSE, SWEEPS, write_small_drive
+from walled_yard import scan, straight
 
 POSES = straight(SWEEPS, 0.5).poses
 
@@ -120,3 +122,28 @@ def test_an_unreadable_recording_is_told_before_its_poses(tmp_path):
     assert refused.exit_code == 2
     assert "dataset cannot" not in str(refused.exception)
     assert "is missing; give the file of the poses" not in str(refused.exception)
+
+
+@pytest.mark.parametrize("step", [0.1, 0.2, 0.5, 1.0])
+@pytest.mark.parametrize("said", ["lidar", "world"])
+@pytest.mark.parametrize("of", ["lidar", "world"])
+def test_points_of_another_frame_on_a_way_of_metres(tmp_path, step: float, said: str, of: str):
+    """Where the way is short, the middle of the points does not tell of which frame they are."""
+    poses = straight(8, step).poses
+    poses = inverse(poses[0]) @ poses
+    (tmp_path / "sweeps").mkdir()
+    for k, pose in enumerate(straight(8, step).poses):
+        points = scan(pose, -8 + 1.5 * k, SPARSE)[0]
+        if of == "world":
+            points = points @ poses[k, :3, :3].T + poses[k, :3, 3]
+        np.save(tmp_path / "sweeps" / f"{k:06d}.npy", points.astype("f4"))
+    write_kitti(tmp_path / "poses.txt", poses)
+    (tmp_path / "docdepth.yaml").write_text(
+        f"sweeps: sweeps\nrate: 10\nposes: poses.txt\nframe: {said}\nmotion_compensated: true\n"
+    )
+    inputs = RunInputs(recording=tmp_path, camera="none")
+    found = [one for one in check_inputs(inputs, Parameters()).findings if "frame" in str(one)]
+    assert [one.severity for one in found] == ["error"] * (said != of)
+    for one in found:
+        assert f"the points are not in the frame {said!r}" in str(one)
+        assert f"say frame: {of} in {tmp_path / 'docdepth.yaml'}" in str(one)

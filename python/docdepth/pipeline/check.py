@@ -25,7 +25,12 @@ from docdepth.io.inputs import DerivedInputs, RunInputs
 from docdepth.io.poses import read_poses
 from docdepth.odometry.pose_checks import find_misfit
 from docdepth.pipeline.execution import check_resources, estimate, gigabytes
-from docdepth.pipeline.given_poses import file_of_poses, read_given_poses, refuse_poses_of_a_camera
+from docdepth.pipeline.given_poses import (
+    file_of_poses,
+    read_given_poses,
+    refuse_points_of_another_frame,
+    refuse_poses_of_a_camera,
+)
 from docdepth.pipeline.label_folder import LabelFolder
 from docdepth.pipeline.run_inputs import known_poses, open_as_begun, open_inputs
 from docdepth.render.layers import check_layers
@@ -96,6 +101,8 @@ def check_opened(
     """
     found = _check_parameters(parameters)
     has_poses = bool(inputs.poses)
+    with collected(found):
+        refuse_points_of_another_frame(recording, parameters.odometry)
     with collected(found):
         poses = known_poses(inputs, recording)
         if poses is not None and inputs.poses:

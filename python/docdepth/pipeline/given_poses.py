@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from docdepth.config import OdometryParameters
 from docdepth.datasets import Dataset, FrameRange, full_recording
+from docdepth.datasets.files import FILE
+from docdepth.datasets.formats.cloud_folder import CloudFolder
 from docdepth.datasets.pose_tables import read_poses_at
 from docdepth.datasets.sensor_pose import LevelledRecording
 from docdepth.errors import DatasetError, OdometryError
@@ -16,10 +18,15 @@ from docdepth.geometry.se3 import inverse
 from docdepth.io.inputs import OWN_POSES, camera_and_file
 from docdepth.io.poses import pose_times, read_poses
 from docdepth.odometry.pose_checks import misfit, move_upwards
+from docdepth.pipeline.cameras import as_recorded
 
 _WRONG, _TIMES = 0.1, 3.0
 """Sweeps lie this far from those before them [m], and this many times as far as by the other
 meaning, if poses are of a camera. Median of right poses: 0.003 to 0.08 m."""
+
+_WAY, _SHORTEST_WAY, _MOST_APART = 0.7, 0.2, 20
+"""Metres between sweeps that tell of which frame their points are, at least, and sweeps from one to
+the other at most: alignment begins at points within a metre."""
 
 
 def file_of_poses(poses: str) -> Path | None:
@@ -86,6 +93,40 @@ def refuse_poses_of_a_camera(
             f"from those before them, as those of {name} {off[1]:.2f} m",
             f"say which camera: `poses={f'{name}:{entry}'!r}`",
             code="poses-of-camera",
+        )
+
+
+def refuse_points_of_another_frame(recording: Dataset, parameters: OdometryParameters) -> None:
+    """Refuse points that are said to be in the world and are of the LiDAR, or the reverse.
+
+    On tens of metres the middle of the points tells it when a recording is opened. On less, some
+    sweeps are aligned with those before, starting from either meaning.
+    """
+    folder = as_recorded(recording)
+    if not isinstance(folder, CloudFolder) or folder.poses is None or len(folder) < 5:
+        return
+    poses, positions = folder.poses, folder.poses[:, :3, 3]
+    ways = [
+        float(np.median(np.linalg.norm(positions[k:] - positions[:-k], axis=1)))
+        for k in range(1, min(len(folder) - 2, _MOST_APART))
+    ]
+    apart = 1 + next((k for k, way in enumerate(ways) if way > _WAY), len(ways) - 1)
+    way = ways[apart - 1]
+    if way < _SHORTEST_WAY:
+        return
+    T, other = (poses, "lidar") if folder.frame == "world" else (inverse(poses), "world")
+
+    def moved(k: int) -> NDArray[np.float32]:
+        points = folder.sweep(k).points @ T[k, :3, :3].T + T[k, :3, 3]
+        return points.astype(np.float32)
+
+    asked = ((lambda k: folder.sweep(k).points), moved)
+    off = [misfit(points, poses, folder.times, parameters, apart) for points in asked]
+    if off[0] is not None and off[1] is not None and off[0] > max(way / 3, _TIMES * off[1]):
+        raise DatasetError(
+            f"{folder.path}: the points are not in the frame {folder.frame!r}: so, sweeps lie "
+            f"{off[0]:.2f} m from those before them, and in the frame {other!r} {off[1]:.2f} m",
+            f"say frame: {other} in {folder.path / FILE}",
         )
 
 

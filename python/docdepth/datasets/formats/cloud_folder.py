@@ -114,6 +114,11 @@ class CloudFolder(Recording):
     Its ``docdepth.yaml`` has the entries of :class:`FolderSettings`; ``usual`` are those that the
     format ``name`` has where it leaves them out. ``image_size`` is width and height in pixels of
     cameras of which no more is known.
+
+    Attributes
+    ----------
+    frame : {"lidar", "world"}
+        What the coordinates in the files are said to be of.
     """
 
     def __init__(
@@ -139,6 +144,7 @@ class CloudFolder(Recording):
         with problems.collected():
             poses = _poses(settings, lidars[0])
         raise_together(problems.errors)
+        self.frame = settings.frame
         labels, world = path / settings.labels, settings.frame == "world"
         if "labels" in settings.model_fields_set and not labels.is_dir():
             raise DatasetError(f"{file}: there is no folder {labels} of labels")
