@@ -61,6 +61,16 @@ def test_poor_poses_are_refined_where_they_were_given(
     np.testing.assert_allclose(off, 0, atol=1e-6)
 
 
+@pytest.mark.parametrize("at", [2, 13, SWEEPS - 3])
+def test_a_single_jump_is_refined(drive: Drive, at: int) -> None:
+    """As where SLAM recognises a place; the few pairs of sweeps that are compared do not see it."""
+    given = drive.exact.copy()
+    given[at:] = se3_exp(np.zeros(3), np.array([0.0, 0.3, 0.1])) @ given[at:]
+    odometry = register_drive(drive, poses=given)
+    assert [f.code for f in odometry.findings] == ["poses-refined"]
+    assert errors_over(odometry.trajectory.poses, drive.exact, 10).max() < 0.02
+
+
 def test_slow_errors_of_centimetres_are_refined(drive: Drive) -> None:
     """As of GNSS: they hardly change from sweep to sweep."""
     given = drive.exact.copy()

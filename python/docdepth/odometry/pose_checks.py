@@ -34,6 +34,7 @@ _COLUMN = 1.0  # metres, edge of the columns that tell an open road
 _OTHER = 0.5  # metres a sweep, between the motion of poses and that of high points
 _PERIODS = (0.005, 5.0)  # seconds between sweeps
 _APART = 5e5  # metres between a pose and the middle of all; no recording goes that far
+_BRAKES = 10.0  # metres/s^2; no vehicle on a road brakes harder
 _JUMP = 1.0  # metres by which the step from sweep to sweep changes; a vehicle cannot do that
 
 
@@ -175,6 +176,7 @@ def misfit(
     times: NDArray[np.int64],
     parameters: OdometryParameters | None = None,
     apart: int = 1,
+    at: int | None = None,
 ) -> float | None:
     """How far points lie from where the sweeps before them, and the poses, say [m].
 
@@ -190,6 +192,8 @@ def misfit(
         Stamps [ns]. Nothing is compared over a gap.
     apart : int
         How many sweeps later than the last of the three it is.
+    at : int, optional
+        The only sweep that is compared.
 
     Returns
     -------
@@ -199,8 +203,9 @@ def misfit(
     p, moved = parameters or OdometryParameters(), []
     compared = [k for part in parts_of(times) for k in part[apart + _BEFORE - 1 :]]
     chosen = np.linspace(0, len(compared) - 1, min(_SAMPLES, len(compared))).astype(int)
-    for k in chosen.tolist():
-        shift = _shift_to_those_before(points, poses, compared[k], p, apart)
+    frames = [compared[k] for k in chosen.tolist()] if at is None else [at]
+    for frame in frames:
+        shift = _shift_to_those_before(points, poses, frame, p, apart)
         moved += [] if shift is None else [shift]
     return float(np.median(moved)) if moved else None
 
@@ -253,12 +258,7 @@ def find_jumps(trajectory: Trajectory) -> list[Finding]:
     """
     if len(trajectory) < 3:
         return []
-    seconds = even_steps(trajectory) * 1e-9
-    velocity = np.diff(trajectory.poses[:, :3, 3], axis=0) / seconds[:, None]
-    for part in trajectory.parts[1:]:
-        velocity[part.start - 1] = np.nan
-    change = np.linalg.norm(np.diff(velocity, axis=0), axis=1) * float(np.median(seconds))
-    change = np.nan_to_num(change)
+    change = _changes(trajectory)
     worst = int(np.argmax(change))
     if change[worst] <= _JUMP:
         return []
@@ -267,3 +267,26 @@ def find_jumps(trajectory: Trajectory) -> list[Finding]:
         f"{change[worst]:.1f} m"
     )
     return [Finding("trajectory-jumps", "", text, "check the poses and times around it")]
+
+
+def sudden_change(trajectory: Trajectory) -> int | None:
+    """The last pose before the greatest change of velocity that no vehicle is capable of.
+
+    Poses of SLAM change so where it recognises a place, those of GNSS where satellites come back.
+    """
+    if len(trajectory) < 3:
+        return None
+    change = _changes(trajectory)
+    worst = int(np.argmax(change))
+    period = float(np.median(np.diff(trajectory.times))) * 1e-9
+    return worst if change[worst] > _BRAKES * period**2 else None
+
+
+def _changes(trajectory: Trajectory) -> NDArray[np.float64]:
+    """By how much the step to a pose and that from it differ (n - 2,) [m]; 0 at gaps."""
+    seconds = even_steps(trajectory) * 1e-9
+    velocity = np.diff(trajectory.poses[:, :3, 3], axis=0) / seconds[:, None]
+    for part in trajectory.parts[1:]:
+        velocity[part.start - 1] = np.nan
+    change = np.linalg.norm(np.diff(velocity, axis=0), axis=1) * float(np.median(seconds))
+    return np.nan_to_num(change)

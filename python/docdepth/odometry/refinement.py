@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from docdepth.config import OdometryParameters
 from docdepth.errors import Finding
 from docdepth.geometry.se3 import nearest_rotation, se3_exp, se3_log
-from docdepth.geometry.trajectory import parts_of
+from docdepth.geometry.trajectory import Trajectory, parts_of
 from docdepth.odometry.deskewing import centred_motion
 from docdepth.odometry.passes import register
-from docdepth.odometry.pose_checks import MISFIT, misfit
+from docdepth.odometry.pose_checks import MISFIT, misfit, sudden_change
 from docdepth.odometry.registration_log import RegistrationLog
 from docdepth.odometry.smoothing import smoothed
 from docdepth.odometry.sweeps import SweepPart, ThinnedSweeps, deskewed_points
@@ -42,13 +42,22 @@ def _misfit_of(
     poses: NDArray[np.float64],
     parameters: OdometryParameters,
     apart: int,
+    jump: int | None,
 ) -> float | None:
-    """How far points lie from where sweeps so many before them, and the poses, say [m]."""
+    """How far points lie from where sweeps so many before them, and the poses, say [m].
+
+    The median of a few places, or what is found across the pose ``jump``, whichever is more.
+    """
 
     def points(k: int) -> NDArray[np.float32]:
         return deskewed_points(sweeps[k], k, centred_motion(poses, sweeps.times, [k])[0])
 
-    return misfit(points, poses, sweeps.times, parameters, apart)
+    found = [misfit(points, poses, sweeps.times, parameters, apart)]
+    if jump is not None:
+        last = max(jump, 2)
+        apart = min(apart, len(poses) - 1 - last)
+        found += [misfit(points, poses, sweeps.times, parameters, apart, last + apart)]
+    return max((one for one in found if one is not None), default=None)
 
 
 def noise_along(poses: NDArray[np.float64], times: NDArray[np.int64]) -> float:
@@ -87,7 +96,8 @@ def refine_poor(
     part as a whole: the world stays where it was given.
     """
     apart = min(_APART, max(1, len(poses) // 3))
-    before = _misfit_of(sweeps, poses, parameters, apart)
+    jump = sudden_change(Trajectory(sweeps.times, poses))
+    before = _misfit_of(sweeps, poses, parameters, apart, jump)
     shaken = noise_along(poses, sweeps.times)
     if before is None or (before <= _DOUBTFUL and shaken <= _SHAKES):
         return poses, []
@@ -103,7 +113,7 @@ def refine_poor(
             finally:
                 log.close()
         refined[rows] = _laid_on(poses[rows], path)
-    after = _misfit_of(sweeps, refined, parameters, apart)
+    after = _misfit_of(sweeps, refined, parameters, apart, jump)
     misfits = (
         f"the poses do not fit the sweeps: points lie {before:.3f} m from where they were {apart} "
         "sweeps before"
