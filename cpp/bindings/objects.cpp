@@ -276,7 +276,6 @@ void bind_options(py::module_& m) {
       .def_readwrite("min_cluster_size", &Options::min_cluster_size)
       .def_readwrite("neighbor_radius", &Options::neighbor_radius)
       .def_readwrite("clear_votes", &Options::clear_votes)
-      .def_readwrite("clear_ratio", &Options::clear_ratio)
       .def_readwrite("min_object_points", &Options::min_object_points)
       .def_readwrite("dynamic_share", &Options::dynamic_share)
       .def_readwrite("min_dynamic_share", &Options::min_dynamic_share)

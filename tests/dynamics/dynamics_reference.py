@@ -16,7 +16,7 @@ EMPTY = np.float32(np.inf)
 
 OBJECTS = {
     "cluster_distance": 0.3, "cluster_distance_growth": 0.05, "min_cluster_size": 6,
-    "neighbor_radius": 1.0, "clear_votes": 2, "clear_ratio": 4, "min_object_points": 10,
+    "neighbor_radius": 1.0, "clear_votes": 2, "min_object_points": 10,
     "dynamic_share": 0.5, "min_dynamic_share": 0.1, "min_object_width": 1.5,
     "min_object_height": 0.3, "observed_free_share": 0.6, "occupied_once_share": 1 / 3,
     "observed_free_votes": 2, "max_static_ratio": 8, "isolated_votes": 2,
@@ -251,7 +251,7 @@ def reference_moving(points, ground, static, dynamic, once, **others):
 
     sure = points[moving]
     for i in np.flatnonzero(candidate & ~moving):
-        clear = dynamic[i] >= p.clear_votes and dynamic[i] > p.clear_ratio * static[i]
+        clear = dynamic[i] >= p.clear_votes and once[i]
         near = squared(sure - points[i]) < np.float32(p.neighbor_radius) ** 2
         moving[i] = (clear and not ground[i]) or near.any()
 

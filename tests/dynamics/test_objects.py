@@ -148,6 +148,22 @@ def test_a_pole_with_one_return_a_ring_is_one_object_apart_from_the_wall_behind(
     assert ((classify(ground, votes, DEFAULT, points) == 100) == met.ravel()).all()
 
 
+@pytest.mark.parametrize(
+    ("static", "dynamic", "once", "moves"),
+    [(3, 4, True, True), (0, 4, False, False), (0, 1, True, False), (4, 4, True, False)],
+)
+def test_a_return_alone_moves_if_its_place_was_occupied_once(static, dynamic, once, moves):
+    met = np.zeros((16, 60), bool)
+    met[8, 30] = True
+    points, ground = _before_a_wall(met)
+    votes = Votes(*np.zeros((2, met.size), np.uint16))
+    votes.static[met.ravel()], votes.dynamic[met.ravel()] = static, dynamic
+    ends = np.zeros(met.size, np.uint16)
+    stay = np.full(met.size, once)
+    votes = replace(votes, occupancy=OccupancyIntervals(stay, ~stay, ends, ends))
+    assert ((classify(ground, votes, DEFAULT, points) == 100) == (met.ravel() & moves)).all()
+
+
 def test_a_fence_was_not_free_though_key_frames_look_through_it():
     board = np.zeros((16, 60), bool)
     board[3:13, 10:40] = True

@@ -410,6 +410,24 @@ def test_a_fence_that_seems_to_go_along_is_no_track():
         assert bool(found) == (porous < 1 / 3)
 
 
+class _InSingleFile(Thing):
+    """Somebody whose place was free before or after only where the votes call him dynamic."""
+
+    def stay(self, i, count):
+        return i in self.dynamic, None, None
+
+
+@pytest.mark.parametrize(("porous", "claimed"), [(0.0, False), (0.3, False), (0.8, True)])
+def test_who_walks_in_single_file_moves_where_his_place_was_free_and_occupied_in_turn(
+    porous, claimed
+):
+    """What was never found free there is something else."""
+    walks = set(range(40)) - set(range(15, 25))
+    walker = _InSingleFile(PERSON, lambda i: (0.5 * i, 4), walks, porous=porous)
+    (found,) = tracked([walker], 40)
+    assert set(range(16, 25)) <= set(found) if claimed else not found
+
+
 def test_a_waiting_car_whose_parts_are_seen_in_turn_is_dynamic_as_a_whole():
     """Its halves have a track each, and that of the upper one ends where it stands."""
     at = waits((15, 3), 30)

@@ -191,8 +191,7 @@ std::vector<std::uint8_t> classify_objects(const Points& points, const bool* gro
   const MarkedPoints confirmed(points, dynamic, options.neighbor_radius);
   for (std::uint32_t i = 0; i < count; ++i) {
     if (dynamic[i] || !evidence.dynamic[i]) continue;
-    const bool clear = !ground[i] && dynamic_votes[i] >= options.clear_votes &&
-                       static_cast<float>(dynamic_votes[i]) > options.clear_ratio * static_votes[i];
+    const bool clear = !ground[i] && dynamic_votes[i] >= options.clear_votes && occupied_once[i];
     dynamic[i] = clear || confirmed.has_near(i);
   }
   add_isolated_points(points, ground, objects, static_votes, dynamic_votes, dynamic, options);

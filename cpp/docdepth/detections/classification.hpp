@@ -20,10 +20,9 @@ struct ClassificationOptions {
   ClusteringOptions clustering{};
   /// A confirmed dynamic point within this distance confirms a single one [m].
   float neighbor_radius = 1.0f;
-  /// So do this many dynamic votes of its own,
+  /// So do this many dynamic votes of its own, more than its static ones, if its place was occupied
+  /// in one stretch of time.
   int clear_votes = 2;
-  /// if they outnumber its static votes this many times.
-  float clear_ratio = 4;
 
   // --- Objects are dynamic as a whole ---
   /// An object has at least this many points.

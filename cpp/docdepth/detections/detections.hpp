@@ -50,6 +50,10 @@ struct Detection {
   bool is_dynamic() const { return 2 * dynamic_points >= points; }
   /// Whether most of its place was free before or after.
   bool was_free() const { return free_area >= kMinFreeShare * area; }
+  /// Whether most of its place was free at some time, though perhaps occupied again soon.
+  bool was_found_free() const {
+    return std::max(dynamic_area, free_area + porous_area) >= kMinFreeShare * area;
+  }
   /// What of it is here for a while only, by the votes or by their order.
   float transient_area() const { return std::max(dynamic_area, free_area); }
   float transient_share() const { return transient_area() / area; }

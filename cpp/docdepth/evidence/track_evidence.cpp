@@ -88,7 +88,8 @@ bool TrackEvidence::makes_dynamic(double time, const Detection& object, bool is_
                             (time > last_.time && !object.box.overlaps(last_.extent, 0));
   if (is_elsewhere) return is_member && object.was_free();
   const double known = std::clamp(time, first_.time, last_.time);
-  if (known == time && drives_over(object, time)) return true;
+  const bool goes = is_member && goes_through(object, time);
+  if (known == time && (goes || drives_over(object, time))) return true;
   if (is_member) return was_free(object, known);
   if (!lies_there(object, known, kSearchMargin) || !was_free(object, known)) return false;
   // Before it is first seen, and after it is last seen, something else may stand there.
@@ -133,6 +134,16 @@ bool TrackEvidence::lies_there(const Detection& object, double time, float margi
 bool TrackEvidence::drives_over(const Detection& object, double time) const {
   return drives_far_ && object_.path.speed(time) >= kSlow &&
          lies_there(object, time, kObjectMargin);
+}
+
+/// Whether the track was followed through a detection while it moves, and all of it lies where the
+/// object is. Where people walk in single file, as many key frames find the place of each occupied
+/// as free.
+bool TrackEvidence::goes_through(const Detection& object, double time) const {
+  const OrientedBox box = object_.path.whole_box(time);
+  const auto inside = [&](const Vector& p) { return box.contains(p, kObjectMargin); };
+  return object_.path.speed(time) >= kStanding && object.was_found_free() &&
+         std::all_of(object.samples().begin(), object.samples().end(), inside);
 }
 
 /// Whether the place of a detection was free before or after: by its own votes, or as it was

@@ -58,6 +58,7 @@ class TrackEvidence {
   KnownPlace place_of(std::size_t observation) const;
   bool is_seen_to_move() const;
   bool drives_over(const Detection& object, double time) const;
+  bool goes_through(const Detection& object, double time) const;
   bool lies_there(const Detection& object, double time, float margin) const;
   bool was_free(const Detection& object, double time);
   const Occupancy& occupancy_at(const Eigen::Vector3d& place);
