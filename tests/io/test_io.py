@@ -1,5 +1,6 @@
 """Run folder files: written whole, read back the same, damaged ones named."""
 
+import json
 import os
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.se3 import poses_from, rotation_exp
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically, write_output
-from docdepth.io.calibration import write_calibration
+from docdepth.io.calibration import read_calibration, read_camera_calibration, write_calibration
 from docdepth.io.frames import read_frame, read_trajectory, write_frame, write_trajectory
 from docdepth.io.inputs import RunInputs
 from docdepth.io.run_folder import RunFolder, stage_key
@@ -136,6 +137,20 @@ def test_calibration_round_trip_and_missing(tmp_path):
     np.testing.assert_array_equal(back.K, camera.K)
     np.testing.assert_array_equal(T_camera_lidar, pose)
     assert (back.width, back.height) == (1242, 375)
+
+
+@pytest.mark.parametrize(
+    "K", [[[50, 0, 31], [0, 51, 24], [0, 9, 1]], [[-5, 0, 31], [0, 5, 24], [0, 0, 1]]]
+)
+def test_a_camera_that_is_none_is_named_by_its_file(tmp_path, K):
+    (tmp_path / "calib.json").write_text(json.dumps({"mtx": K, "size": [64, 48]}))
+    (tmp_path / "calib_lidar_ref_cam.txt").write_text("1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
+    for read in (
+        lambda: read_calibration(tmp_path, ""),
+        lambda: read_camera_calibration(tmp_path / "calib.json"),
+    ):
+        with pytest.raises(CalibrationError, match=r"calib.json.* K must be"):
+            read()
 
 
 def test_stage_key_depends_on_every_value():

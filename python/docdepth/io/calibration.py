@@ -209,6 +209,8 @@ def _read(file: Path, parse: Callable[[str], _Parsed], remedy: str) -> _Parsed:
         raise CalibrationError(f"{file} is missing; {remedy}") from None
     except OSError as error:
         raise CalibrationError(f"{file} cannot be read ({error.strerror}); {remedy}") from None
+    except CalibrationError as error:  # of the camera
+        raise CalibrationError(f"{file}: {error}") from None
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise CalibrationError(f"{file} is damaged: {error}") from None
     if isinstance(found, np.ndarray):
