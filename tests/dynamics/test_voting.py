@@ -12,7 +12,7 @@ import docdepth._core as _core
 from docdepth.config import DynamicsParameters, parameters
 from docdepth.dynamics import voting
 from docdepth.dynamics.classifier import classify_drive
-from docdepth.dynamics.voting import KeyFrame, KeyFrames, vote
+from docdepth.dynamics.voting import KeyFrame, KeyFrames, OccupancyIntervals, Votes, vote
 from docdepth.errors import InputError
 from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.scan_mesh import ScanMesh
@@ -27,6 +27,14 @@ PAPER, DEFAULT = parameters("paper").dynamics, parameters("default").dynamics
 def chosen_of(trajectory, p):
     chosen = KeyFrames(trajectory, p)
     return [chosen[i] for i in range(len(trajectory))]
+
+
+@pytest.mark.parametrize(("static", "free"), [(0, True), (7, True), (8, False), (15, False)])
+def test_a_place_that_nearly_all_key_frames_found_occupied_was_not_free(static, free):
+    """Through the leaves of a tree a ray passes now and then."""
+    one, end = np.ones(1, bool), np.zeros(1, np.uint16)
+    votes = Votes(np.uint16([static]), np.uint16([1]), OccupancyIntervals(one, ~one, end, end))
+    assert votes.occupancy_by_sweep(np.array([0]), 1).occupied_once == free
 
 
 def test_key_frames_are_near_along_the_path_and_never_the_sweep_itself():

@@ -21,6 +21,10 @@ from docdepth.geometry.trajectory import Trajectory
 NEVER = 65535
 """Stands for a key frame where there was none."""
 
+MAX_STATIC_RATIO = 8
+"""A place was free only if fewer than so many times as many key frames found it occupied [-]. Of
+the leaves of a tree that sixteen beams see, one ray in ten or more passes through."""
+
 
 class OccupancyIntervals(NamedTuple):
     """When the place of each point of a sweep was occupied, as far as votes tell.
@@ -65,10 +69,14 @@ class Votes(ShortRepr):
     occupancy: OccupancyIntervals | None = None
 
     def occupancy_by_sweep(self, key_frames: NDArray[np.int64], sweep: int) -> OccupancyIntervals:
-        """When the points were occupied, by sweeps; ``sweep`` found all of them occupied itself."""
+        """When the points were occupied, by sweeps; ``sweep`` found all of them occupied itself.
+
+        Places that nearly all key frames found occupied were never free.
+        """
         if self.occupancy is None:
             raise InputError("tracking needs votes with their order; vote again")
         once, porous, first, last = self.occupancy
+        once = once & (self.static < MAX_STATIC_RATIO * self.dynamic.astype(np.int64))
         index = np.full(NEVER + 1, sweep, np.int32)
         index[: len(key_frames)] = key_frames
         first = np.minimum(index[first], sweep, dtype=np.int32)
