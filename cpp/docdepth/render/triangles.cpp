@@ -7,6 +7,7 @@
 #include "docdepth/render/behind_boxes.hpp"
 #include "docdepth/render/depth_hypotheses.hpp"
 #include "docdepth/render/raster.hpp"
+#include "docdepth/render/straight_outlines.hpp"
 
 namespace docdepth {
 namespace {
@@ -86,6 +87,9 @@ std::vector<float> render_triangles(const Camera& camera, const MeshScene& scene
         if (!shown_objects.empty()) shown_objects[to] = drawn[from];
       }
   });
+  if (!scene.rays.empty())
+    straighten_outlines(camera, scene.rays[0].rays->cells().spacing() * float(camera.fx), depth,
+                        shown_objects, threads);
   mask_unobserved_background(camera, scene, shown_objects, depth, threads);
   return depth;
 }

@@ -10,6 +10,7 @@
 #include "docdepth/render/behind_boxes.hpp"
 #include "docdepth/render/depth_hypotheses.hpp"
 #include "docdepth/render/gl/shaders.hpp"
+#include "docdepth/render/straight_outlines.hpp"
 
 namespace docdepth::gl {
 namespace {
@@ -220,6 +221,9 @@ std::vector<float> GlRenderer::render_triangles(const Camera& camera, const Mesh
       depth[i] = static_depth[from] > 0 ? 1.0f / static_depth[from] : kNone;
       shown_objects.push_back(wide[from]);
     }
+    if (!scene.rays.empty())
+      straighten_outlines(camera, scene.rays[0].rays->cells().spacing() * float(camera.fx), depth,
+                          shown_objects, 0);
     mask_unobserved_background(camera, scene, shown_objects, depth, 0);
     return depth;
   });
