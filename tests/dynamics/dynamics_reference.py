@@ -251,7 +251,7 @@ def reference_moving(points, ground, static, dynamic, once, **others):
 
     sure = points[moving]
     for i in np.flatnonzero(candidate & ~moving):
-        clear = dynamic[i] >= p.clear_votes and once[i]
+        clear = dynamic[i] >= p.clear_votes and dynamic[i] > 2 * static[i] and once[i]
         near = squared(sure - points[i]) < np.float32(p.neighbor_radius) ** 2
         moving[i] = (clear and not ground[i]) or near.any()
 

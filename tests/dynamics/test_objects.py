@@ -150,9 +150,11 @@ def test_a_pole_with_one_return_a_ring_is_one_object_apart_from_the_wall_behind(
 
 @pytest.mark.parametrize(
     ("static", "dynamic", "once", "moves"),
-    [(3, 4, True, True), (0, 4, False, False), (0, 1, True, False), (4, 4, True, False)],
+    [(1, 4, True, True), (0, 4, False, False), (0, 1, True, False), (2, 4, True, False)],
 )
-def test_a_return_alone_moves_if_its_place_was_occupied_once(static, dynamic, once, moves):
+def test_a_return_alone_moves_where_it_was_clearly_free_and_occupied_once(
+    static, dynamic, once, moves
+):
     met = np.zeros((16, 60), bool)
     met[8, 30] = True
     points, ground = _before_a_wall(met)

@@ -370,21 +370,26 @@ def test_what_no_track_follows_stands_among_things_that_stand():
 
     The fifth is of those that no track follows.
 
-    So does ground that no more than twice as many key frames found free as occupied.
+    So does ground that no more than twice as many key frames found free as occupied. Forty points
+    in half a metre move whose places more than twice as many key frames found free.
     """
     rng = np.random.default_rng(0)
     points = rng.uniform(-30, 30, (6000, 3)).astype(np.float32)
     points[:, 2] = rng.uniform(-1, 1, 6000)
+    crowds = [(15, 0, 0), (15, 9, 0), (0, -20, 0), (15, -9, 0), (0, 0, 0), (0, 9, 0)]
+    points[:600] = (np.repeat(crowds, 100, axis=0) + rng.uniform(0, 0.5, (600, 3))).astype("f4")
     ground, free = rng.random((2, 6000)) < [[0.3], [0.5]]
     statics, dynamics = rng.integers(0, 9, (2, 6000)).astype(np.uint16)
+    statics[:300] //= 3
     votes = Votes(statics, 3 * dynamics * free)
     passed = rng.random(6000) < np.where(points[:, 0] > 10, 0.5, 0.1)
     porous = (votes.dynamic > 0) & passed
     untracked = rng.random(6000) < 0.1
+    untracked[:600] = rng.random(600) < 0.9
     classid = np.where(ground, 0, 50).astype(np.uint16)
     classid[untracked | (rng.random(6000) < np.where(points[:, 1] > -15, 0.95, 0.2))] = 100
     found = withdraw_untracked(classid, untracked, ground, points, votes, porous)
-    expected = classid.copy()
+    expected, dense = classid.copy(), 0
     for i in np.flatnonzero(untracked):
         near = np.abs(np.floor(points / 2) - np.floor(points[i] / 2)).max(1) <= 1
         near &= ~ground & (votes.dynamic > 0)
@@ -392,10 +397,16 @@ def test_what_no_track_follows_stands_among_things_that_stand():
         stand = np.count_nonzero(near & (classid < 100))
         loose = near & ((classid < 100) | untracked)
         is_porous = 5 * np.count_nonzero(loose & porous) > np.count_nonzero(loose)
-        if doubtful or is_porous or 2 * stand > np.count_nonzero(near):
+        beside = untracked & (np.floor(points / 0.5) == np.floor(points[i] / 0.5)).all(1)
+        clear = votes.dynamic[beside].sum(dtype=int) > 2 * votes.static[beside].sum(dtype=int)
+        is_dense = np.count_nonzero(beside) >= 40 and clear
+        stands = is_porous or 2 * stand > np.count_nonzero(near)
+        dense += stands and is_dense and not doubtful
+        if doubtful or (stands and not is_dense):
             expected[i] = 0 if ground[i] else 50
     np.testing.assert_array_equal(found, expected)
     assert 0.2 < (found[untracked] == 100).mean() < 0.8
+    assert dense > 20
     none = np.zeros(6000, bool)
     dynamic = np.full_like(classid, 100)
     alone = withdraw_untracked(dynamic, untracked, none, points, votes, none)

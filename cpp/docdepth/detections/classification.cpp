@@ -11,6 +11,9 @@
 namespace docdepth {
 namespace {
 
+/// A place is clearly free if so many times as many key frames found it free as occupied.
+constexpr int kClearRatio = 2;
+
 using Flags = std::vector<std::uint8_t>;
 
 /// One value per object. Most points are not the first of an object, so values are kept apart.
@@ -191,7 +194,8 @@ std::vector<std::uint8_t> classify_objects(const Points& points, const bool* gro
   const MarkedPoints confirmed(points, dynamic, options.neighbor_radius);
   for (std::uint32_t i = 0; i < count; ++i) {
     if (dynamic[i] || !evidence.dynamic[i]) continue;
-    const bool clear = !ground[i] && dynamic_votes[i] >= options.clear_votes && occupied_once[i];
+    const bool clear = !ground[i] && dynamic_votes[i] >= options.clear_votes &&
+                       dynamic_votes[i] > kClearRatio * static_votes[i] && occupied_once[i];
     dynamic[i] = clear || confirmed.has_near(i);
   }
   add_isolated_points(points, ground, objects, static_votes, dynamic_votes, dynamic, options);

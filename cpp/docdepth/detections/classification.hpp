@@ -20,8 +20,8 @@ struct ClassificationOptions {
   ClusteringOptions clustering{};
   /// A confirmed dynamic point within this distance confirms a single one [m].
   float neighbor_radius = 1.0f;
-  /// So do this many dynamic votes of its own, more than its static ones, if its place was occupied
-  /// in one stretch of time.
+  /// So do this many dynamic votes of its own, more than twice its static ones, if its place was
+  /// occupied in one stretch of time.
   int clear_votes = 2;
 
   // --- Objects are dynamic as a whole ---

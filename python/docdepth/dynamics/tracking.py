@@ -59,12 +59,17 @@ MIN_DYNAMIC_SHARE = 0.5
 """Where less of what was found free is dynamic, what no track follows stands [-]."""
 
 MIN_FREE_RATIO = 2
-"""Ground that no track follows moves only where more than so many times as many key frames found
-its place free as occupied [-]. A whole car may be taken for ground; but of the ground itself, seen
-at a flat angle, many key frames seem to look under it."""
+"""What no track follows is clearly free where more than so many times as many key frames found its
+place free as occupied [-]. Ground moves only there: a whole car may be taken for ground; but of the
+ground itself, seen at a flat angle, many key frames seem to look under it."""
 
 _CELL = 2.0
 """What is around a point is told by cells of this edge, its own and those beside it [m]."""
+
+_DENSE_CELL = 0.5
+_MIN_DENSE = 40
+"""So many points in a cell of this edge [m] that are clearly free together move, whatever is around
+them: somebody who walks along parked cars is one object with them, and no track follows him."""
 
 _MEMBER = np.dtype([("first", "u4"), ("track", "u4"), ("is_dynamic", "u4")])
 _BOX = np.dtype(
@@ -287,8 +292,8 @@ def withdraw_untracked(
 
     Rays hit and pass fences and twigs in turn, and each sweep hits other parts of them, of which
     some seem to have been free. What is around these tells: where many places that were found free
-    are porous, or most of them stand, a point that seems to move does not. How many are porous is
-    asked only of what no track follows.
+    are porous, or most of them stand, a point that seems to move does not, unless many right beside
+    it seem to, too. How many are porous is asked only of what no track follows.
 
     Parameters
     ----------
@@ -324,15 +329,21 @@ def withdraw_untracked(
     among_porous = unfollowed_porous > MAX_POROUS_SHARE * unfollowed
     among_static = free_dynamic < MIN_DYNAMIC_SHARE * free
     is_clear = votes.dynamic[rows] > MIN_FREE_RATIO * votes.static[rows].astype(np.int64)
-    stands = rows[among_porous | among_static | (ground[rows] & ~is_clear)]
+    _, cell, size = np.unique(
+        _cell_keys(points[rows], _DENSE_CELL), return_inverse=True, return_counts=True
+    )
+    dynamic, static = np.bincount(cell, votes.dynamic[rows]), np.bincount(cell, votes.static[rows])
+    is_dense = ((size >= _MIN_DENSE) & (dynamic > MIN_FREE_RATIO * static))[cell]
+    is_doubtful = (among_porous | among_static) & ~is_dense
+    stands = rows[is_doubtful | (ground[rows] & ~is_clear)]
     classid = classid.copy()
     classid[stands] = np.where(ground[stands], GROUND, STATIC)
     return classid
 
 
-def _cell_keys(points: NDArray[np.float32]) -> NDArray[np.int64]:
+def _cell_keys(points: NDArray[np.float32], edge: float = _CELL) -> NDArray[np.int64]:
     """Numbers of the cells of points; those of steps between cells can be added to them."""
-    x, y, z = np.floor(points / _CELL).astype(np.int64).T
+    x, y, z = np.floor(points / edge).astype(np.int64).T
     return (x * 2**20 + y) * 2**20 + z
 
 
