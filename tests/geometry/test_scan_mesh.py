@@ -235,33 +235,6 @@ def test_a_surface_goes_on_across_missing_returns_only_where_it_is_flat() -> Non
     assert not over_the_gap(8.0 / (directions @ oblique)).any()
 
 
-def steepness(points: NDArray, triangles: NDArray) -> NDArray:
-    """Largest change of range of each triangle over the distance across the ray."""
-    reach = np.linalg.norm(points.astype(np.float64), axis=1)
-    toward = points / reach[:, None]
-    a, b = triangles, np.roll(triangles, 1, axis=1)
-    across = np.minimum(reach[a], reach[b]) * np.linalg.norm(toward[a] - toward[b], axis=2)
-    return (np.abs(reach[a] - reach[b]) / across).max(axis=1)
-
-
-def test_nothing_grazing_joins_leaves_of_different_trees() -> None:
-    """Among leaves some triangles continue the plane of a neighbour by chance; a road goes on."""
-    directions = ring_rays(64, 1800, low=-3, high=9)
-    leaves = np.random.default_rng(7).uniform(15, 40, len(directions))
-    points = (directions * leaves[:, None]).astype(np.float32)
-    mesh = ScanMesh(points)
-    grazing = steepness(points, mesh.triangles) > 20
-    assert grazing.mean() > 0.5
-    assert (~mesh.discontinuity[grazing]).mean() < 0.001  # 0.019 join if each is judged alone
-
-    directions = ring_rays(64, 1800, low=-25, high=-1.5)
-    road = (directions * (-1.7 / directions[:, 2])[:, None]).astype(np.float32)
-    mesh = ScanMesh(road)
-    inner = (np.linalg.norm(road, axis=1) < 50)[mesh.triangles].all(axis=1)
-    assert (steepness(road, mesh.triangles)[inner] > 20).sum() > 1000
-    assert not mesh.discontinuity[inner].any()
-
-
 def test_isolated_returns_are_in_no_continuous_triangle() -> None:
     random = np.random.default_rng(5)
     points = (scatter_rays() * random.uniform(3, 60, 5000)[:, None]).astype(np.float32)

@@ -85,9 +85,6 @@ DOCDEPTH_KERNEL Floats largest(const Floats& a, const Floats& b, const Floats& c
 
 /// A triangle so many times as wide as rays are apart spans rays that did not return.
 constexpr float kGapSpacings = 2;
-/// A triangle is grazing if its range changes by so many times the distance across the ray: its
-/// surface is seen at less than 3 degrees.
-constexpr float kGrazingRatio = 20;
 /// Every so many triangles tell how far rays are apart.
 constexpr std::size_t kSpacingStep = 16;
 
@@ -110,7 +107,7 @@ float ray_spacing(const Triangulation& triangulation, const std::vector<Ray>& ra
 }
 
 struct Shape {
-  bool is_wide, is_steep, is_grazing;
+  bool is_wide, is_steep;
   std::uint8_t flattest;  ///< side with the least change of range
 };
 
@@ -135,12 +132,11 @@ struct FindShapes {
       const Floats steepest = largest(ab.steepness, bc.steepness, ca.steepness);
       const Ints is_steep = (steepest > parameters.jump_ratio) |
                             ((steepest > parameters.gap_jump_ratio) & (widest > gap * gap));
-      const Ints is_grazing = steepest > kGrazingRatio;
       const Floats less = bc.change < ab.change ? bc.change : ab.change;
       const Ints flatter = -(bc.change < ab.change);
       const Ints flattest = ca.change < less ? Ints{} + 2 : flatter;
       for (std::size_t lane = 0; lane < some; ++lane)
-        shapes[first + lane] = {is_wide[lane] != 0, is_steep[lane] != 0, is_grazing[lane] != 0,
+        shapes[first + lane] = {is_wide[lane] != 0, is_steep[lane] != 0,
                                 static_cast<std::uint8_t>(flattest[lane])};
     }
   }
@@ -214,23 +210,6 @@ class Folds {
   std::vector<std::uint32_t> triangles_;
 };
 
-/// Mark grazing triangles that end at a steep side. What lies a metre behind their plane is within
-/// its flatness, so among leaves some continue a neighbour by chance; a surface goes on along its
-/// rings. Beyond the flattest side it may end: at the last ring.
-void mark_grazing_ends(const Triangulation& triangulation, const std::vector<Shape>& shapes,
-                       std::vector<std::uint8_t>& jump) {
-  std::vector<std::uint32_t> found;
-  for (std::uint32_t t = 0; t < jump.size(); ++t)
-    for (std::uint32_t i = 0; shapes[t].is_grazing && !jump[t] && i < 3; ++i) {
-      const std::uint32_t beyond = triangulation[t].across[i];
-      if (i != shapes[t].flattest && (beyond == kNone || shapes[beyond].is_wide || jump[beyond])) {
-        found.push_back(t);
-        break;
-      }
-    }
-  for (const std::uint32_t t : found) jump[t] = 1;
-}
-
 /// Which triangles span a depth jump. Each steep one is first tested with its neighbour beyond the
 /// side of the least change of range (along a ring). Then, for the last ring of the ground or of a
 /// wall, it is tested with its other neighbours that are continuous.
@@ -249,7 +228,6 @@ std::vector<std::uint8_t> find_discontinuities(const Points& points,
     for (std::uint32_t i = 0; jump[t] && i < 3; ++i)
       if (triangulation[t].across[i] != kNone && !jump[triangulation[t].across[i]]) folds.add(t, i);
   folds.clear_flat(points, flatness, jump);
-  mark_grazing_ends(triangulation, shapes, jump);
   return jump;
 }
 
