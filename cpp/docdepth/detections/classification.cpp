@@ -11,8 +11,8 @@
 namespace docdepth {
 namespace {
 
-/// A place is clearly free if so many times as many key frames found it free as occupied.
-constexpr int kClearRatio = 2;
+/// A place is clearly free if more than so many times as many key frames found it free as occupied.
+constexpr int kMinFreeRatio = 2;
 
 using Flags = std::vector<std::uint8_t>;
 
@@ -195,7 +195,7 @@ std::vector<std::uint8_t> classify_objects(const Points& points, const bool* gro
   for (std::uint32_t i = 0; i < count; ++i) {
     if (dynamic[i] || !evidence.dynamic[i]) continue;
     const bool clear = !ground[i] && dynamic_votes[i] >= options.clear_votes &&
-                       dynamic_votes[i] > kClearRatio * static_votes[i] && occupied_once[i];
+                       dynamic_votes[i] > kMinFreeRatio * static_votes[i] && occupied_once[i];
     dynamic[i] = clear || confirmed.has_near(i);
   }
   add_isolated_points(points, ground, objects, static_votes, dynamic_votes, dynamic, options);

@@ -71,6 +71,10 @@ struct DrawStrip {
 
 }  // namespace
 
+float return_spacing(const Camera& camera, const MeshScene& scene) {
+  return scene.rays.empty() ? 0 : scene.rays[0].rays->cells().spacing() * float(camera.fx);
+}
+
 std::vector<float> render_triangles(const Camera& camera, const MeshScene& scene, int threads) {
   std::vector<float> depth(std::size_t(camera.width) * camera.height);
   std::vector<std::uint16_t> shown_objects(scene.dynamic_objects.empty() ? 0 : depth.size());
@@ -87,9 +91,7 @@ std::vector<float> render_triangles(const Camera& camera, const MeshScene& scene
         if (!shown_objects.empty()) shown_objects[to] = drawn[from];
       }
   });
-  if (!scene.rays.empty())
-    straighten_outlines(camera, scene.rays[0].rays->cells().spacing() * float(camera.fx), depth,
-                        shown_objects, threads);
+  straighten_outlines(camera, return_spacing(camera, scene), depth, shown_objects, threads);
   mask_unobserved_background(camera, scene, shown_objects, depth, threads);
   return depth;
 }

@@ -48,6 +48,9 @@ struct MeshScene {
   std::vector<ObjectBox> boxes{};          ///< around what moves; see mask_unobserved_background()
 };
 
+/// Mean distance between returns of the nearest sweep [pixel]; 0 if the scene has no rays.
+float return_spacing(const Camera& camera, const MeshScene& scene);
+
 /// Depth of the surface at each pixel, row after row [m]; NaN if there is none. Triangles with a
 /// corner nearer than kNear are left out. The result does not depend on the number of threads.
 std::vector<float> render_triangles(const Camera& camera, const MeshScene& scene, int threads);

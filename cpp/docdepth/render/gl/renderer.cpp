@@ -221,9 +221,7 @@ std::vector<float> GlRenderer::render_triangles(const Camera& camera, const Mesh
       depth[i] = static_depth[from] > 0 ? 1.0f / static_depth[from] : kNone;
       shown_objects.push_back(wide[from]);
     }
-    if (!scene.rays.empty())
-      straighten_outlines(camera, scene.rays[0].rays->cells().spacing() * float(camera.fx), depth,
-                          shown_objects, 0);
+    straighten_outlines(camera, return_spacing(camera, scene), depth, shown_objects, 0);
     mask_unobserved_background(camera, scene, shown_objects, depth, 0);
     return depth;
   });
