@@ -290,6 +290,9 @@ READERS = {
     "npy": Reader("a.npy", [read_poses, read_depth, lambda p: read_classes(p, 6, 3), _cloud], [
         _array(a) for a in (_CLASSES, _CLASSES > 99, _POSES, np.ones((6, 4), "<f4"))
     ]),
+    "csv": Reader("a.csv", [_cloud], [
+        "x,y,z,intensity\n1,2,3,0.5\n4,,6,nan\n", "# x y z\n1 2 3\n", "3\n1;2,5;3\n",
+    ]),
     "npz": Reader("a.npz", [read_depth, _read_rig],
                   [_write_rig, encode_depth(np.full((4, 6), 3.0, np.float32), "npz")]),
     "label": Reader("a.label", [lambda p: read_classes(p, 6, 3)],

@@ -264,6 +264,19 @@ def _npy(root: Path) -> Written:
     return Written(folder, lambda: truncate(folder / "000002.npy"), kept)
 
 
+@writes("folder of csv", "folder")
+def _csv(root: Path) -> Written:
+    folder = root / "clouds"
+    folder.mkdir()
+    for k in range(DRIVE.count):
+        rows = folder_rows(k)
+        table = np.column_stack([rows[name] for name in rows.dtype.names])
+        names = ",".join(rows.dtype.names)
+        np.savetxt(folder / f"{k:06d}.csv", table, "%.9g", ",", header=names, comments="")
+    write_beside(folder)
+    return Written(folder, None, tolerance=1e-5)
+
+
 @writes("folder of las", "folder")
 def _las(root: Path, suffix: str = "las") -> Written:
     laspy = pytest.importorskip("laspy")

@@ -1,4 +1,4 @@
-"""Files of one sweep each: PCD, PLY, BIN, NPY, LAS and LAZ."""
+"""Files of one sweep each: PCD, PLY, BIN, NPY, LAS, LAZ and text."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from docdepth.datasets.cloud import (
 )
 from docdepth.datasets.files import extra, library_errors, unreadable
 from docdepth.datasets.kitti_files import in_order
+from docdepth.datasets.text_clouds import read_table
 from docdepth.datasets.times import times_of_names
 from docdepth.errors import DamagedFileError, DatasetError, InputError, RunError
 from docdepth.geometry.se3 import poses_from, quaternion_to_matrix
@@ -40,7 +41,7 @@ KITTI_COLUMNS = ("x", "y", "z", "intensity")
 
 @dataclass(frozen=True)
 class RowFormat:
-    """What the rows of a file without names are, of BIN or NPY."""
+    """What the rows of a file without names are, of BIN, NPY or text."""
 
     # names of the values of a point; ``_`` for those that mean nothing
     columns: tuple[str, ...] = KITTI_COLUMNS
@@ -105,9 +106,7 @@ def _read_ply(file: Path, where: str, rows: RowFormat) -> Cloud:
 def _read_bin(file: Path, where: str, rows: RowFormat) -> Cloud:
     content = read_file(file)
     if content and not content[:_BEGINNING].strip(_OF_NUMBERS):
-        raise DatasetError(
-            f"{where} holds numbers as text; write them as binary {rows.dtype}, or as a PLY or PCD"
-        )
+        return _read_text(file, where, rows)
     step = np.dtype(rows.dtype).itemsize * len(rows.columns)
     if not content or len(content) % step:
         raise DatasetError(
@@ -133,6 +132,20 @@ def _read_npy(file: Path, where: str, rows: RowFormat) -> Cloud:
         raise DatasetError(f"{where} is no array of numpy ({error}); copy it again") from None
     named = table if table.dtype.names else _named(table, rows, where)
     return cloud_from_fields(named, where)
+
+
+def _read_text(file: Path, where: str, rows: RowFormat) -> Cloud:
+    names, table = read_table(file, where)
+    if names is not None and rows.columns == KITTI_COLUMNS:
+        if twice := next((name for name in names if name != "_" and names.count(name) > 1), None):
+            raise DatasetError(f"{where} has two columns {twice}; say columns in docdepth.yaml")
+        rows = RowFormat(tuple(names))
+        if not {"x", "y", "z"} <= set(names):
+            raise DatasetError(
+                f"{where} has no columns x, y and z, only {', '.join(names)}; say columns in "
+                "docdepth.yaml"
+            )
+    return cloud_from_fields(_named(table, rows, where), where)
 
 
 def _named(table: NDArray[Any], rows: RowFormat, where: str) -> NDArray[Any]:
@@ -191,8 +204,15 @@ READERS: dict[str, Callable[[Path, str, RowFormat], Cloud]] = {
     ".npy": _read_npy,
     ".las": _read_las,
     ".laz": _read_las,
+    ".csv": _read_text,
+    ".txt": _read_text,
+    ".xyz": _read_text,
+    ".asc": _read_text,
 }
 """A reader for each suffix in small letters."""
+
+TEXTS = {suffix for suffix, reader in READERS.items() if reader is _read_text}
+"""Suffixes of files that may hold anything else as well."""
 
 _BEGINNINGS = {
     b"# .PCD": ".pcd",

@@ -232,7 +232,8 @@ def _clouds_below(path: Path) -> Path | None:
     """The first folder of point clouds: the path itself, or one in it."""
     places = [path, *sorted(path.iterdir())] if path.is_dir() else []
     for place in places:
-        if place.is_dir() and any(file.suffix.lower() in READERS for file in place.iterdir()):
+        kinds = {file.suffix.lower() for file in place.iterdir()} if place.is_dir() else set()
+        if kinds & (READERS.keys() - {".txt"}):
             return place
     return None
 

@@ -18,6 +18,7 @@ from docdepth.datasets.cloud import FileLidar
 from docdepth.datasets.cloud_files import (
     KITTI_COLUMNS,
     READERS,
+    TEXTS,
     RowFormat,
     read_cloud,
     read_viewpoint,
@@ -44,7 +45,8 @@ sweep moves by metres from one to the next street."""
 
 _SURE = 1 / 3  # how much better one frame explains this middle than the other
 
-_NAMELESS = {".bin", ".npy"}  # suffixes of files that need not be clouds
+_NAMELESS = {".bin", ".npy", *TEXTS}  # suffixes of files that need not be clouds
+_TABLES = {"times.txt", "timestamps.txt", "poses.txt"}  # beside clouds
 
 
 class FolderLidar(Strict):
@@ -76,7 +78,7 @@ class FolderSettings(CameraRecordingSettings):
         Sweeps a second, where there are no times. A number in the name of a file is that of its
         sweep.
     columns : tuple of str
-        Values of a point in BIN and NPY files; ``_`` for those that mean nothing.
+        Values of a point in BIN, NPY and text files; ``_`` for those that mean nothing.
     dtype : str
         Of the values in BIN files.
     frame : {"lidar", "world"}
@@ -109,7 +111,7 @@ class FolderSettings(CameraRecordingSettings):
 
 
 class CloudFolder(Recording):
-    """A folder of PCD, PLY, BIN, NPY, LAS or LAZ files, one a sweep.
+    """A folder of PCD, PLY, BIN, NPY, LAS, LAZ or text files, one a sweep.
 
     Its ``docdepth.yaml`` has the entries of :class:`FolderSettings`; ``usual`` are those that the
     format ``name`` has where it leaves them out. ``image_size`` is width and height in pixels of
@@ -154,8 +156,14 @@ class CloudFolder(Recording):
 
 
 def cloud_files(folder: Path) -> list[Path]:
-    """The point clouds of a folder in the order of :func:`~.kitti_files.in_order`."""
-    files = [file for file in folder.glob("*") if file.suffix.lower() in READERS]
+    """The point clouds of a folder in the order of :func:`~.kitti_files.in_order`.
+
+    A text is a cloud only where no file of another kind is there, ``.txt`` last of all.
+    """
+    found = [file for file in folder.glob("*") if file.suffix.lower() in READERS]
+    files = [file for file in found if file.suffix.lower() not in TEXTS]
+    files = files or [file for file in found if file.suffix.lower() != ".txt"]
+    files = files or [file for file in found if file.name not in _TABLES]
     kinds = sorted({file.suffix.lower() for file in files})
     if not folder.is_dir():
         raise DatasetError(f"{folder}, the folder of the sweeps, is not there")
@@ -257,8 +265,8 @@ def _recognises(path: Path) -> bool:
 
 FORMAT = Format(
     "folder",
-    "a folder of .pcd, .ply, .las or .laz files, one a sweep, or with .bin or .npy files and a "
-    "docdepth.yaml",
+    "a folder of .pcd, .ply, .las or .laz files, one a sweep, or with .bin, .npy, .csv or .txt "
+    "files and a docdepth.yaml",
     _recognises,
     CloudFolder,
     found_below=False,

@@ -1,0 +1,100 @@
+"""Sweeps as text: a point a line, its values divided by commas, semicolons or blanks."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from docdepth.errors import DatasetError
+from docdepth.io.untrusted import ArrayError, parse_numbers, read_file
+
+_MOST_TEXT = 1 << 30  # bytes of a file
+_LONGEST_HEAD = 100  # lines before the first point
+_COMMENTS = (b"#", b"//")
+_UNIT = re.compile(r"[\[(].*")  # behind a name: ``x [m]``
+_OF_PARAVIEW = re.compile(r"points.*:([012])")  # ``Points_m_XYZ:0`` of VeloView
+
+
+def read_table(file: Path, where: str) -> tuple[list[str] | None, NDArray[np.float64]]:
+    """The numbers of a text, one row a line, and the names of the columns if the text has them.
+
+    Names stand in the line before the first row, as a comment or not. Values that are left out are
+    NaN. ``where`` names file and frame in errors.
+
+    Returns
+    -------
+    names : list of str or None
+        In small letters, without units. Columns without a name are ``_``.
+    table : ndarray of float64, shape (N, columns)
+
+    Raises
+    ------
+    DatasetError
+        The file holds no table of numbers.
+    """
+    content = read_file(file, _MOST_TEXT).removeprefix(b"\xef\xbb\xbf")
+    lines = [line for line in content.splitlines() if line.strip()]
+    first = next((k for k, line in enumerate(lines[:_LONGEST_HEAD]) if _is_row(line)), None)
+    if first is None:
+        raise DatasetError(
+            f"{where} holds no line of numbers; write a point a line, x y z first or with a line "
+            "of names before them, and decimals with a point"
+        )
+    mark = _mark(lines[first])
+    rows = [_words(line, mark) for line in lines[first:] if not line.startswith(_COMMENTS)]
+    if odd := next((row for row in rows if len(row) != len(rows[0])), None):
+        raise DatasetError(
+            f"{where} has {len(odd)} values in the line {_shown((mark or b' ').join(odd))}, and "
+            f"{len(rows[0])} in the first; copy the sweep again"
+        )
+    words = np.array(rows)
+    words[words == b""] = b"nan"
+    try:
+        table = parse_numbers(words, "f8")
+    except ArrayError as error:
+        raise DatasetError(f"{where} holds a value that is no number ({error})") from None
+    names = _names(lines[first - 1], mark) if first else []
+    used = ~np.isnan(table).all(axis=0)
+    used[: len(names)] = True  # a mark at the end of each line makes an empty column
+    table = table[:, used]
+    return (names if len(names) == table.shape[1] else None), table
+
+
+def _mark(line: bytes) -> bytes | None:
+    """What divides the values of a line; None for blanks."""
+    return next((mark for mark in (b";", b",", b"\t") if mark in line), None)
+
+
+def _words(line: bytes, mark: bytes | None) -> list[bytes]:
+    if mark == b";":
+        line = line.replace(b",", b".")  # decimals of many countries
+    return [word.strip() for word in line.split(mark)]
+
+
+def _is_row(line: bytes) -> bool:
+    words = [word for word in _words(line, _mark(line)) if word]
+    try:
+        return len(parse_numbers(np.array(words), "f8")) >= 3
+    except ArrayError:
+        return False
+
+
+def _names(line: bytes, mark: bytes | None) -> list[str]:
+    for comment in _COMMENTS:
+        line = line.removeprefix(comment)
+    text = line.strip().decode("utf-8", "replace").lower()
+    words = [word.strip(" \"'") for word in text.split(mark.decode() if mark else None)]
+    named = {word for word in words if word in ("x", "y", "z")}
+    for k, word in enumerate(words):
+        word = _UNIT.sub("", word).strip()
+        if (axis := _OF_PARAVIEW.fullmatch(word)) and "xyz"[int(axis[1])] not in named:
+            word = "xyz"[int(axis[1])]
+        words[k] = word or "_"
+    return words
+
+
+def _shown(line: bytes) -> str:
+    return repr(line[:60].decode("utf-8", "replace"))
