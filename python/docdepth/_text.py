@@ -63,20 +63,13 @@ _UNIT = re.compile(r"\s*\[([^]]*)\]$")
 
 
 class Described(NamedTuple):
-    """A parameter in words.
-
-    Attributes
-    ----------
-    unit, symbol : str
-        Empty for none; the symbol is the paper's.
-    range : str
-        ``"0.001 to 10"``, or the words of a choice with commas.
-    """
+    """A parameter in words."""
 
     description: str
+    # unit, symbol: empty for none; the symbol is the paper's
     unit: str
     symbol: str
-    range: str
+    range: str  # ``"0.001 to 10"``, or the words of a choice with commas
 
 
 def described(field: FieldInfo) -> Described:

@@ -22,25 +22,16 @@ class Board:
 
     The frame of the board has its origin in the centre of the front, x along the columns of
     corners, y along the rows, z away from the viewer.
-
-    Attributes
-    ----------
-    columns, rows : int
-        Inner corners along x and along y; of circles their centres.
-    square : float
-        Side of a square, or distance of the centres of circles [m].
-    width, height : float
-        Outline along x and along y [m].
-    pattern : str
-        One of :data:`PATTERNS`.
     """
 
+    # columns, rows: inner corners along x and along y; of circles their centres
     columns: int
     rows: int
-    square: float
+    square: float  # side of a square, or distance of the centres of circles [m]
+    # width, height: outline along x and along y [m]
     width: float
     height: float
-    pattern: str = PATTERNS[0]
+    pattern: str = PATTERNS[0]  # one of :data:`PATTERNS`
 
     def __post_init__(self) -> None:
         if min(self.columns, self.rows) < 3 or self.square <= 0:

@@ -56,52 +56,28 @@ _CONVERGED = 1e-6  # of the cost
 
 @dataclass(frozen=True)
 class Observation:
-    """One board, seen by camera and LiDAR.
-
-    Attributes
-    ----------
-    corners : ndarray of float64, shape (n, 2)
-        Pixels.
-    T_camera_board : ndarray of float64, shape (4, 4)
-        From the image alone.
-    T_lidar_board : ndarray of float64, shape (4, 4)
-        From the sweep alone; its x axis points as that of ``T_camera_board``.
-    sweep : BoardSweep
-        The returns around the board.
-    """
+    """One board, seen by camera and LiDAR."""
 
     name: str
-    corners: Floats
-    T_camera_board: Floats
+    corners: Floats  # (n, 2): pixels
+    T_camera_board: Floats  # (4, 4): from the image alone
+    # (4, 4): from the sweep alone; its x axis points as that of ``T_camera_board``
     T_lidar_board: Floats
-    sweep: BoardSweep
+    sweep: BoardSweep  # the returns around the board
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Unknowns of the bundle, and what they leave.
+    """Unknowns of the bundle, and what they leave."""
 
-    Attributes
-    ----------
-    T_camera_lidar : ndarray of float64, shape (4, 4)
-    T_camera_board : ndarray of float64, shape (n, 4, 4)
-    growth : float
-        How far the board seems to reach beyond its edge [m].
-    blur : float
-        Standard deviation of the place where a beam stops seeing a board [m].
-    corner_noise : float
-        Standard deviation of corners [px].
-    range_noise : float
-        Standard deviation of returns from the plane [m].
-    """
-
-    T_camera_lidar: Floats
-    T_camera_board: Floats
+    T_camera_lidar: Floats  # (4, 4)
+    T_camera_board: Floats  # (n, 4, 4)
     lens: Lens
-    growth: float = 0.0
+    growth: float = 0.0  # how far the board seems to reach beyond its edge [m]
+    # standard deviation of the place where a beam stops seeing a board [m]
     blur: float = _BLURS[-2]
-    corner_noise: float = 0.0
-    range_noise: float = 0.0
+    corner_noise: float = 0.0  # standard deviation of corners [px]
+    range_noise: float = 0.0  # standard deviation of returns from the plane [m]
 
     def moved(self, step: Floats) -> Solution:
         """Other unknowns: turn and shift of the extrinsic, growth, lens, boards (n, 6)."""

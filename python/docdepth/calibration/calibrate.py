@@ -41,51 +41,29 @@ _MOST_PIXELS = 3.0  # RMS of the corners of one image; above, they are not of th
 
 @dataclass(frozen=True)
 class BoardPair:
-    """An image and a sweep of a still board.
-
-    Attributes
-    ----------
-    corners : ndarray of float64, shape (n, 2), or None
-        Pixels of the inner corners; None where they were not found.
-    """
+    """An image and a sweep of a still board."""
 
     name: str
-    corners: Floats | None
+    corners: Floats | None  # (n, 2): pixels of the inner corners; None where they were not found
     sweep: BoardSweep
     image: ImageSource | None = None
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Camera, extrinsic, and what they are worth.
+    """Camera, extrinsic, and what they are worth."""
 
-    Attributes
-    ----------
-    observations : list of Observation
-        The boards that were used.
-    residuals : list of (float, float)
-        What each board leaves: RMS of its corners [px], and of its returns from the plane [m].
-    boards : list of LeftOutBoard
-        What the others say about each board.
-    halves : Halves or None
-        None for too few boards.
-    turn_deg, shift_cm : ndarray of float64, shape (3,)
-        Standard deviations about the camera's axes.
-    not_used : dict of str to str
-        Pairs that were not used, and why.
-    findings : tuple of Finding
-        What looks wrong; each is logged as well.
-    """
-
-    observations: list[Observation]
+    observations: list[Observation]  # the boards that were used
     solution: Solution
+    # what each board leaves: RMS of its corners [px], and of its returns from the plane [m]
     residuals: list[tuple[float, float]]
-    boards: list[LeftOutBoard]
-    halves: Halves | None
+    boards: list[LeftOutBoard]  # what the others say about each board
+    halves: Halves | None  # None for too few boards
+    # turn_deg, shift_cm: (3,): standard deviations about the camera's axes
     turn_deg: Floats
     shift_cm: Floats
-    not_used: dict[str, str]
-    findings: tuple[Finding, ...] = ()
+    not_used: dict[str, str]  # pairs that were not used, and why
+    findings: tuple[Finding, ...] = ()  # what looks wrong; each is logged as well
 
     @property
     def lens(self) -> Lens:

@@ -43,18 +43,11 @@ _ROUNDS = 3
 
 @dataclass(frozen=True)
 class SeenBoard:
-    """A board found in an image, and the sweep of the same moment.
-
-    Attributes
-    ----------
-    corners : ndarray of float64, shape (n, 2)
-        Pixels.
-    T_camera_board : ndarray of float64, shape (4, 4)
-    """
+    """A board found in an image, and the sweep of the same moment."""
 
     name: str
-    corners: Floats
-    T_camera_board: Floats
+    corners: Floats  # (n, 2): pixels
+    T_camera_board: Floats  # (4, 4)
     sweep: BoardSweep
 
 

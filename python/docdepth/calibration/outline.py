@@ -30,22 +30,13 @@ _GRAZING = 0.1  # cosine; rays that are closer to the plane do not tell where th
 
 @dataclass(frozen=True)
 class BoardRays:
-    """The rays around a board.
+    """The rays around a board."""
 
-    Attributes
-    ----------
-    points, origins : ndarray of float64, shape (n, 3)
-        Returns, and where their rays begin, LiDAR frame [m].
-    on : ndarray of bool, shape (n,)
-        The board stopped the ray; else it went past.
-    places : ndarray of float64, shape (n, 2)
-        Where each ray meets the plane, board frame [m].
-    """
-
+    # points, origins: (n, 3): returns, and where their rays begin, LiDAR frame [m]
     points: Floats
     origins: Floats
-    on: NDArray[np.bool_]
-    places: Floats
+    on: NDArray[np.bool_]  # (n,): the board stopped the ray; else it went past
+    places: Floats  # (n, 2): where each ray meets the plane, board frame [m]
 
     def __len__(self) -> int:
         return len(self.points)

@@ -33,34 +33,22 @@ _LOOKED_AROUND = 0.3  # metres outside the board
 
 @dataclass(frozen=True)
 class LeftOutBoard:
-    """What the calibration without one board says about it.
-
-    Attributes
-    ----------
-    pixels : float
-        Distance of the corners of its outline, as the LiDAR has them, from those of the camera,
-        RMS in the image.
-    metres : float
-        The same distance in space.
-    T_camera_lidar : ndarray of float64, shape (4, 4)
-    """
+    """What the calibration without one board says about it."""
 
     name: str
+    # distance of the corners of its outline, as the LiDAR has them, from those of the camera, RMS
+    # in the image
     pixels: float
-    metres: float
-    T_camera_lidar: Floats
+    metres: float  # the same distance in space
+    T_camera_lidar: Floats  # (4, 4)
 
 
 @dataclass(frozen=True)
 class Halves:
-    """Differences of the extrinsic between halves of the boards that share none.
+    """Differences of the extrinsic between halves of the boards that share none."""
 
-    Attributes
-    ----------
-    degrees, centimetres : ndarray of float64, shape (n,)
-        One for each random split; of the LiDAR's place as the camera has it.
-    """
-
+    # degrees, centimetres: (n,): one for each random split; of the LiDAR's place as the camera has
+    # it
     degrees: Floats
     centimetres: Floats
 

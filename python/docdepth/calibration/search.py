@@ -42,18 +42,11 @@ _FURTHEST = 3.0  # standard deviations; returns farther on the wrong side pull n
 
 @dataclass(frozen=True)
 class Patch:
-    """A place where the board may be.
+    """A place where the board may be."""
 
-    Attributes
-    ----------
-    T_lidar_board : ndarray of float64, shape (4, 4)
-        A board looks the same after half a turn, so this is one of two poses.
-    score : float
-        Share of rays at the outline that agree with it: on it inside, past it outside.
-    """
-
+    # (4, 4): a board looks the same after half a turn, so this is one of two poses
     T_lidar_board: Floats
-    score: float
+    score: float  # share of rays at the outline that agree with it: on it inside, past it outside
 
 
 def find_patches(sweep: BoardSweep, board: Board, distance: tuple[float, float]) -> list[Patch]:

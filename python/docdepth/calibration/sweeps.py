@@ -16,21 +16,12 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BoardSweep:
-    """The usable returns of one sweep.
+    """The usable returns of one sweep."""
 
-    Attributes
-    ----------
-    points : ndarray of float64, shape (N, 3)
-        LiDAR frame [m].
-    origins : ndarray of float64, shape (N, 3)
-        Where the ray of each return begins, LiDAR frame [m].
-    may_be_board : ndarray of bool, shape (N,), optional
-        Returns in the box that was given by hand. The others are not of the board, so their rays
-        went past it.
-    """
-
-    points: Floats
-    origins: Floats
+    points: Floats  # (N, 3): LiDAR frame [m]
+    origins: Floats  # (N, 3): where the ray of each return begins, LiDAR frame [m]
+    # (N,): returns in the box that was given by hand. The others are not of the board, so their
+    # rays went past it
     may_be_board: NDArray[np.bool_] | None = None
 
     @cached_property

@@ -16,19 +16,11 @@ from docdepth.io.untrusted import read_text
 
 
 class RunConfigFile(NamedTuple):
-    """What a file gives, all of it defaults that options replace.
+    """What a file gives, all of it defaults that options replace."""
 
-    Attributes
-    ----------
-    inputs : RunInputs, optional
-        Those of a run.yaml.
-    settings : dict
-        Parameters by dotted name; of a run.yaml, which lists all, those that differ from the
-        preset.
-    """
-
-    inputs: RunInputs | None
+    inputs: RunInputs | None  # those of a run.yaml
     preset: Preset
+    # parameters by dotted name; of a run.yaml, which lists all, those that differ from the preset
     settings: dict[str, object]
 
 

@@ -72,26 +72,13 @@ class Strict(BaseModel):
 
 
 class CameraSettings(Strict):
-    """A camera, or what is missing of it.
+    """A camera, or what is missing of it."""
 
-    Attributes
-    ----------
-    K : list of float, optional
-        fx 0 cx 0 fy cy 0 0 1, or fx fy cx cy, pixels.
-    size : (int, int), optional
-        Width and height in pixels.
-    distortion : list of float, optional
-        As :attr:`~docdepth.datasets.CameraStream.distortion`.
-    model : {"pinhole", "fisheye"}
-    T_camera_lidar : list of float, optional
-        Matrix of 4 x 4 or 3 x 4, row by row.
-    """
-
-    K: Numbers | None = None
-    size: tuple[int, int] | None = None
-    distortion: Numbers | None = None
+    K: Numbers | None = None  # fx 0 cx 0 fy cy 0 0 1, or fx fy cx cy, pixels
+    size: tuple[int, int] | None = None  # width and height in pixels
+    distortion: Numbers | None = None  # as :attr:`~docdepth.datasets.CameraStream.distortion`
     model: Literal["pinhole", "fisheye"] = "pinhole"
-    T_camera_lidar: Numbers | None = None
+    T_camera_lidar: Numbers | None = None  # matrix of 4 x 4 or 3 x 4, row by row
 
     def camera(self, size: tuple[int, int] | None, where: str) -> Camera:
         """The pinhole camera."""

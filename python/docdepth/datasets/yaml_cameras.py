@@ -22,18 +22,11 @@ log = logging.getLogger(__name__)
 
 
 class YamlCamera(CameraSettings):
-    """A camera with its images.
+    """A camera with its images."""
 
-    Attributes
-    ----------
-    images : str, optional
-        Their folder.
-    times : str, optional
-        File with a line an image; ``names``: they are the images' names; ``sweeps``: the camera
-        fires with the sweeps. Found beside the images, or in their names, if left out.
-    """
-
-    images: str | None = None
+    images: str | None = None  # their folder
+    # file with a line an image; ``names``: they are the images' names; ``sweeps``: the camera fires
+    # with the sweeps. Found beside the images, or in their names, if left out
     times: str | None = None
 
 

@@ -40,26 +40,16 @@ _DARK = 0.02  # contrast of noise; brightness is a square root, 0 to 16
 
 @dataclass(frozen=True)
 class View:
-    """Depth edges of a sweep and edges of the image that was taken then.
+    """Depth edges of a sweep and edges of the image that was taken then."""
 
-    Attributes
-    ----------
-    ends : ndarray of float64, shape (3, n, 3)
-        LiDAR frame at the time of the image, metres: the near return of each edge, the place
-        halfway to the far one, and the far one's direction at the near one's range.
-    weight : ndarray of float64, shape (n,)
-    image : int
-        Index of the image.
-    strength : ndarray of float32, shape (h, w, 3)
-        Edges of the image, see :func:`edge_strength`.
-    travel : ndarray of float64, shape (3,)
-        Path of the LiDAR from the sweep to the image, in its frame, metres; 0 if it is not known.
-    """
-
+    # (3, n, 3): LiDAR frame at the time of the image, metres: the near return of each edge, the
+    # place halfway to the far one, and the far one's direction at the near one's range
     ends: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    image: int
-    strength: NDArray[np.float32]
+    weight: NDArray[np.float64]  # (n,)
+    image: int  # index of the image
+    strength: NDArray[np.float32]  # (h, w, 3): edges of the image, see :func:`edge_strength`
+    # (3,): path of the LiDAR from the sweep to the image, in its frame, metres; 0 if it is not
+    # known
     travel: NDArray[np.float64]
 
 

@@ -45,22 +45,15 @@ _GIVEN_COLOR, _FITTED_COLOR = (60, 60, 255), (90, 255, 90)  # BGR: red, green
 
 @dataclass(frozen=True)
 class CalibrationCheck:
-    """What depth edges and image edges of a run say about the calibration.
-
-    Attributes
-    ----------
-    edges, images : int
-        How many were compared.
-    worst : str
-        Name of the image that gains most from the fit.
-    picture : ndarray of uint8, shape (h, w, 3)
-        That image, BGR: depth edges where they are (red) and where the fit has them (green).
-    """
+    """What depth edges and image edges of a run say about the calibration."""
 
     fit: EdgeFit
+    # edges, images: how many were compared
     edges: int
     images: int
-    worst: str
+    worst: str  # name of the image that gains most from the fit
+    # (h, w, 3): that image, BGR: depth edges where they are (red) and where the fit has them
+    # (green)
     picture: NDArray[np.uint8]
 
     @property

@@ -38,21 +38,11 @@ _MOST_EDGES = 2000  # of an image that are used
 
 @dataclass(frozen=True)
 class Edges:
-    """Depth edges in an image.
+    """Depth edges in an image."""
 
-    Attributes
-    ----------
-    pixels : ndarray of float64, shape (n, 2)
-        u and v; integers are pixel centres.
-    across : ndarray of float64, shape (n, 2)
-        Unit vector in the image from the near side to the far one.
-    depth : ndarray of float64, shape (n,)
-        Of the near side, metres along the optical axis.
-    """
-
-    pixels: Floats
-    across: Floats
-    depth: Floats
+    pixels: Floats  # (n, 2): u and v; integers are pixel centres
+    across: Floats  # (n, 2): unit vector in the image from the near side to the far one
+    depth: Floats  # (n,): of the near side, metres along the optical axis
 
     def __len__(self) -> int:
         return len(self.depth)

@@ -36,31 +36,19 @@ _CELLS = (8, 3)  # parts of the image, columns and rows, whose edges err togethe
 
 @dataclass(frozen=True)
 class EdgeFit:
-    """The change that takes depth edges to image edges.
+    """The change that takes depth edges to image edges."""
 
-    Attributes
-    ----------
-    change : ndarray of float64, shape (7,)
-        Of points in the camera's frame: turn about its axes x, y, z [rad], then shift [m]; and what
-        to add to the times of the images [s].
-    covariance : ndarray of float64, shape (7, 7)
-        Images, and parts of the image, are taken to err each as a whole: edges of one object, and
-        of a vehicle that stands, repeat the same error.
-    half_beam : ndarray of float64, shape (2,)
-        By how much things are drawn too wide on each side, along rows and columns [rad].
-    score : float
-        Change of brightness below depth edges over that beside them; 1 is chance.
-    gains : ndarray of float64, shape (images,)
-        By how much the score of each image grows.
-    pixels : ndarray of float64, shape (2,)
-        Displacement of image edges from depth edges to the right and down, in the median.
-    """
-
+    # (7,): of points in the camera's frame: turn about its axes x, y, z [rad], then shift [m]; and
+    # what to add to the times of the images [s]
     change: Floats
+    # (7, 7): images, and parts of the image, are taken to err each as a whole: edges of one object,
+    # and of a vehicle that stands, repeat the same error
     covariance: Floats
+    # (2,): by how much things are drawn too wide on each side, along rows and columns [rad]
     half_beam: Floats
-    score: float
-    gains: Floats
+    score: float  # change of brightness below depth edges over that beside them; 1 is chance
+    gains: Floats  # (images,): by how much the score of each image grows
+    # (2,): displacement of image edges from depth edges to the right and down, in the median
     pixels: Floats
 
     @property

@@ -43,22 +43,13 @@ _ON = 0.3  # metres between points that lie on each other
 
 
 class Window(NamedTuple):
-    """Poses of a few sweeps that follow each other, and those that registration finds.
+    """Poses of a few sweeps that follow each other, and those that registration finds."""
 
-    Attributes
-    ----------
-    first : int
-        Frame of the first.
-    given, measured : ndarray of float64, shape (n, 4, 4)
-        ``T_world_lidar``; the two worlds may differ.
-    better : bool
-        The sweeps lie on each other better by ``measured`` than by ``given``.
-    """
-
-    first: int
+    first: int  # frame of the first
+    # given, measured: (n, 4, 4): ``T_world_lidar``; the two worlds may differ
     given: Poses
     measured: Poses
-    better: bool = True
+    better: bool = True  # the sweeps lie on each other better by ``measured`` than by ``given``
 
     @property
     def step(self) -> float:

@@ -67,26 +67,15 @@ _STYLE = """
 
 @dataclass
 class ErrorPage:
-    """Gathers the worst images of an evaluation and writes the page.
-
-    Attributes
-    ----------
-    what : str
-        One sentence on what is compared with what.
-    titles, legends : dict of str to str
-        What the button of each view says, and what stands below it, HTML.
-    bars : str
-        What the bars over all images show.
-    images : str
-        What the images are of.
-    """
+    """Gathers the worst images of an evaluation and writes the page."""
 
     title: str
-    what: str
+    what: str  # one sentence on what is compared with what
+    # titles, legends: what the button of each view says, and what stands below it, HTML
     titles: dict[str, str]
     legends: dict[str, str]
-    bars: str
-    images: str = "images"
+    bars: str  # what the bars over all images show
+    images: str = "images"  # what the images are of
     _scores: list[tuple[str, float]] = field(default_factory=list)
     _worst: list[tuple[float, int, Leaf]] = field(default_factory=list)
 

@@ -31,22 +31,15 @@ _NEAREST = 0.3  # metres ahead of the camera
 
 @dataclass(frozen=True)
 class Window:
-    """Points followed from one image to a later one.
+    """Points followed from one image to a later one."""
 
-    Attributes
-    ----------
-    start, end : int
-        Stamps of both images [ns].
-    first, last : ndarray of float64, shape (n, 2)
-        Where the points are in both, pixels.
-    depth : ndarray of float32, shape (h, w)
-        Depth map of the first image, seen from where the camera was by its stamp.
-    """
-
+    # start, end: stamps of both images [ns]
     start: int
     end: int
+    # first, last: (n, 2): where the points are in both, pixels
     first: Floats
     last: Floats
+    # (h, w): depth map of the first image, seen from where the camera was by its stamp
     depth: NDArray[np.float32]
 
     def points(self, camera: Camera, motion: Floats) -> tuple[Floats, Floats]:

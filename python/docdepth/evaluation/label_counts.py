@@ -157,18 +157,11 @@ def each_object(
 
 @dataclass
 class SeenObject:
-    """What the sweeps saw of one object; sweeps are added in order of time.
+    """What the sweeps saw of one object; sweeps are added in order of time."""
 
-    Attributes
-    ----------
-    travel : float
-        Metres travelled while it had returns.
-    before, pauses, arrived : LabelCounts
-        Its standing points until it was first seen to move, between two motions, and after the
-        last one.
-    """
-
-    travel: float = 0.0
+    travel: float = 0.0  # metres travelled while it had returns
+    # before, pauses, arrived: its standing points until it was first seen to move, between two
+    # motions, and after the last one
     before: LabelCounts = LabelCounts()
     pauses: LabelCounts = LabelCounts()
     arrived: LabelCounts = LabelCounts()

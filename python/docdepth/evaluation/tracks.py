@@ -58,23 +58,14 @@ class Spread(Figures):
 
 
 class MatchedBox(NamedTuple):
-    """A box at one time beside the true one, with the errors of :func:`box_errors`.
+    """A box at one time beside the true one, with the errors of :func:`box_errors`."""
 
-    Attributes
-    ----------
-    kind : str
-        Of the true object.
-    true, made : int
-        Their ids.
-    deviation : float
-        That the track states [m].
-    """
-
-    kind: str
+    kind: str  # of the true object
+    # true, made: their ids
     true: int
     made: int
     errors: tuple[float, ...]
-    deviation: float
+    deviation: float  # that the track states [m]
     kind_right: bool
 
 

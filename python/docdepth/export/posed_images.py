@@ -29,25 +29,13 @@ _VIEWS = 9  # of a point, whose median is its colour
 
 
 class Photo(NamedTuple):
-    """A photo of a recorded camera, as it is written.
-
-    Attributes
-    ----------
-    name : str
-        ``CAMERA/NAME``.
-    rgb : ndarray of uint8, shape (h, w, 3)
-        Without lens distortion.
-    depth : ndarray of float32, shape (h, w)
-        Metres, NaN without depth.
-    still : ndarray of bool, shape (h, w)
-        Where it shows the world, and nothing that moves.
-    """
+    """A photo of a recorded camera, as it is written."""
 
     image: RunImage
-    name: str
-    rgb: NDArray[np.uint8]
-    depth: NDArray[np.float32]
-    still: NDArray[np.bool_]
+    name: str  # ``CAMERA/NAME``
+    rgb: NDArray[np.uint8]  # (h, w, 3): without lens distortion
+    depth: NDArray[np.float32]  # (h, w): metres, NaN without depth
+    still: NDArray[np.bool_]  # (h, w): where it shows the world, and nothing that moves
 
 
 def photos(run: Run, progress: Progress) -> Iterator[Photo]:

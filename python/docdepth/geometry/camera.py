@@ -112,18 +112,11 @@ def below_horizon(camera: Camera, T_camera_lidar: NDArray[np.float64]) -> NDArra
 
 
 class View(NamedTuple):
-    """A camera at the time of an image.
-
-    Attributes
-    ----------
-    T_camera_world : ndarray of float64, shape (4, 4)
-    time : int
-        Nanoseconds.
-    """
+    """A camera at the time of an image."""
 
     camera: Camera
-    T_camera_world: NDArray[np.float64]
-    time: int
+    T_camera_world: NDArray[np.float64]  # (4, 4)
+    time: int  # nanoseconds
 
     @classmethod
     def at(

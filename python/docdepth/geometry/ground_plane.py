@@ -30,24 +30,12 @@ _OTHER = 0.8  # of the ground's score that another may have, else nobody knows w
 
 
 class GroundPlane(NamedTuple):
-    """The ground around a LiDAR.
+    """The ground around a LiDAR."""
 
-    Attributes
-    ----------
-    up : ndarray of float64, shape (3,)
-        Unit normal in the LiDAR frame.
-    height : float
-        Of the frame's origin above it, metres.
-    share : float
-        Of voxels of the sweep that lie on it.
-    score : float
-        Higher for planes that are larger, lower and more level, with less below.
-    """
-
-    up: NDArray[np.float64]
-    height: float
-    share: float
-    score: float
+    up: NDArray[np.float64]  # (3,): unit normal in the LiDAR frame
+    height: float  # of the frame's origin above it, metres
+    share: float  # of voxels of the sweep that lie on it
+    score: float  # higher for planes that are larger, lower and more level, with less below
 
     @property
     def tilt_deg(self) -> float:

@@ -140,21 +140,14 @@ class SensorRig(ShortRepr):
 
 
 class LidarView(NamedTuple):
-    """The points that one LiDAR measured, in its own frame.
+    """The points that one LiDAR measured, in its own frame."""
 
-    Attributes
-    ----------
-    points : ndarray of float32, shape (N, 3)
-        LiDAR's own frame, whose origin is the centre of its lasers, metres. Rows of points of other
-        LiDARs are NaN.
-    T_lidar_sensor : ndarray of float64, shape (4, 4)
-        Takes points from its own frame to the LiDAR frame of the sweep.
-    lasers : SensorRig or None
-        Places of its lasers and displacement of the vehicle. None if all rays begin at the origin.
-    """
-
+    # (N, 3): LiDAR's own frame, whose origin is the centre of its lasers, metres. Rows of points of
+    # other LiDARs are NaN
     points: NDArray[np.float32]
+    # (4, 4): takes points from its own frame to the LiDAR frame of the sweep
     T_lidar_sensor: NDArray[np.float64]
+    # places of its lasers and displacement of the vehicle. None if all rays begin at the origin
     lasers: SensorRig | None
 
     def ray_origins(self) -> NDArray[np.float32] | None:

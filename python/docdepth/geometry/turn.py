@@ -28,22 +28,14 @@ _SEAMS_DEG = (0.0, 90.0, 180.0, -90.0)  # sensors start on an axis of their fram
 
 @dataclass(frozen=True)
 class Turn:
-    """The direction in which a LiDAR turns, and where its sweeps start.
+    """The direction in which a LiDAR turns, and where its sweeps start."""
 
-    Attributes
-    ----------
-    clockwise : bool
-        Seen from above.
-    seam_deg : float, optional
-        Azimuth at which every sweep starts. None: rows are in the order of time, and the first ones
-        tell it.
-    before_stamp : float
-        Share of a sweep that is measured before its stamp. Half of it is least wrong, if it is not
-        known.
-    """
-
-    clockwise: bool
+    clockwise: bool  # seen from above
+    # azimuth at which every sweep starts. None: rows are in the order of time, and the first ones
+    # tell it
     seam_deg: float | None = None
+    # share of a sweep that is measured before its stamp. Half of it is least wrong, if it is not
+    # known
     before_stamp: float = 0.5
 
     def __str__(self) -> str:

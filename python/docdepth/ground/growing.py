@@ -99,18 +99,11 @@ def _core_parameters(parameters: GroundParameters) -> _core.GroundParameters:
 
 
 class Chunk(NamedTuple):
-    """A part of the drive whose ground grows as a whole.
+    """A part of the drive whose ground grows as a whole."""
 
-    Attributes
-    ----------
-    sweeps : list of int
-        Sweeps that are labelled.
-    merged : list of int
-        Sweeps that are merged for it: also those on ``CHUNK_OVERLAP`` of path before and after,
-        which see the ground of the first and the last sweeps from nearby.
-    """
-
-    sweeps: list[int]
+    sweeps: list[int]  # sweeps that are labelled
+    # sweeps that are merged for it: also those on ``CHUNK_OVERLAP`` of path before and after, which
+    # see the ground of the first and the last sweeps from nearby
     merged: list[int]
 
 

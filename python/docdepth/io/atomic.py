@@ -36,21 +36,11 @@ _TRIES, _PAUSE = 4, 0.05  # seconds
 
 @dataclass(frozen=True)
 class Written:
-    """What was written into a file that still has its temporary name.
+    """What was written into a file that still has its temporary name."""
 
-    Attributes
-    ----------
-    size : int
-        Bytes.
-    time : int
-        Of the last change, nanoseconds.
-    checksum : int
-        CRC-32 of the content.
-    """
-
-    size: int
-    time: int
-    checksum: int
+    size: int  # bytes
+    time: int  # of the last change, nanoseconds
+    checksum: int  # CRC-32 of the content
 
 
 def write_atomically(

@@ -34,21 +34,11 @@ _Parsed = TypeVar("_Parsed")
 
 @dataclass(frozen=True)
 class CameraCalibration:
-    """What a file tells of a camera.
+    """What a file tells of a camera."""
 
-    Attributes
-    ----------
-    T_camera_lidar : ndarray of float64, shape (4, 4)
-    name : str
-        Of the camera; empty if the file does not tell.
-    camera : Camera, optional
-        None in a file with the extrinsic alone.
-    model : {"pinhole", "fisheye"}
-    """
-
-    T_camera_lidar: NDArray[np.float64]
-    name: str = ""
-    camera: Camera | None = None
+    T_camera_lidar: NDArray[np.float64]  # (4, 4)
+    name: str = ""  # of the camera; empty if the file does not tell
+    camera: Camera | None = None  # None in a file with the extrinsic alone
     distortion: Sequence[float] = ()
     model: Literal["pinhole", "fisheye"] = "pinhole"
 

@@ -189,21 +189,11 @@ def camera_and_file(poses: str) -> tuple[str, str]:
 
 
 class SkippedFrames(Checked):
-    """Broken frames that a run leaves out, each with what is wrong.
+    """Broken frames that a run leaves out, each with what is wrong."""
 
-    Attributes
-    ----------
-    checked : str
-        Hash of the files that were read to find them.
-    sweeps : dict of int to str
-        By number in the recording.
-    images : dict of str to dict of str to str
-        By camera and name.
-    """
-
-    checked: str
-    sweeps: dict[int, str] = {}
-    images: dict[str, dict[str, str]] = {}
+    checked: str  # hash of the files that were read to find them
+    sweeps: dict[int, str] = {}  # by number in the recording
+    images: dict[str, dict[str, str]] = {}  # by camera and name
 
     def sentences(self) -> list[str]:
         """A sentence for each frame."""

@@ -26,149 +26,87 @@ def _inside_depth(folder: str) -> str:
 
 
 class VirtualCamera(Checked):
-    """A camera that moves with the LiDAR.
-
-    Attributes
-    ----------
-    T_lidar_camera, K : 4x4 and 3x3 matrix
-    size : (int, int)
-        Width and height in pixels.
-    times : Path, optional
-        File with the time of each image; the times of the sweeps if absent.
-    """
+    """A camera that moves with the LiDAR."""
 
     T_lidar_camera: tuple[tuple[float, float, float, float], ...]
     K: tuple[tuple[float, float, float], ...]
-    size: tuple[int, int]
-    times: Path | None = None
+    size: tuple[int, int]  # width and height in pixels
+    times: Path | None = None  # file with the time of each image; the times of the sweeps if absent
 
 
 class StoredCameraFit(Checked):
-    """What the images of a camera ask for.
+    """What the images of a camera ask for."""
 
-    Attributes
-    ----------
-    made_of : str
-        Hash of the classes, and of calibration and times as they were given.
-    verdict : str
-        In words; empty where the images cannot tell, or nothing is to be changed.
-    applied : bool
-        Whether the run takes it.
-    turn_deg, shift_m : tuple of float
-        Of points about and along the camera's axes x, y, z.
-    time_ms : float
-        What is added to the times of the images.
-    """
-
-    made_of: str
-    verdict: str = ""
-    applied: bool = False
+    made_of: str  # hash of the classes, and of calibration and times as they were given
+    verdict: str = ""  # in words; empty where the images cannot tell, or nothing is to be changed
+    applied: bool = False  # whether the run takes it
+    # turn_deg, shift_m: of points about and along the camera's axes x, y, z
     turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    time_ms: float = 0.0
+    time_ms: float = 0.0  # what is added to the times of the images
 
 
 class CameraEntry(Checked):
-    """A camera of a run.
+    """A camera of a run."""
 
-    Attributes
-    ----------
-    folder : str
-        Where its maps lie in ``depth/``; empty for ``depth/`` itself.
-    settings : dict
-        Parameters of this camera alone, by dotted name.
-    virtual : VirtualCamera, optional
-        None for a camera of the recording.
-    fit : StoredCameraFit, optional
-        None before a run looked for it.
-    """
-
+    # where its maps lie in ``depth/``; empty for ``depth/`` itself
     folder: Annotated[str, AfterValidator(_inside_depth)]
+    # parameters of this camera alone, by dotted name
     settings: dict[str, object] = Field(default_factory=dict)
-    virtual: VirtualCamera | None = None
-    fit: StoredCameraFit | None = None
+    virtual: VirtualCamera | None = None  # None for a camera of the recording
+    fit: StoredCameraFit | None = None  # None before a run looked for it
 
 
 class StageEntry(Checked):
-    """State and profile of a stage.
-
-    Attributes
-    ----------
-    state : {"running", "done"}
-    key : str, optional
-        Hash of what its results are made of; None before it begins.
-    all_frames : int
-        Sweeps or images of the stage.
-    frames, wall_seconds, seconds
-        What the last command worked on, how long, and the seconds of each step.
-    total_frames, total_seconds, peak_memory_mb
-        Of all commands together.
-    warnings, left_out : tuple of str
-        Left out are images outside the sweeps.
-    renderer, density, calibration
-        Who drew, the mean share of pixels with depth, and what images say of the calibration.
-    labels, tracks
-        The folder of classes of another method, and whether its tracks are used.
-    """
+    """State and profile of a stage."""
 
     state: Literal["running", "done"] = "running"
-    key: str | None = None
-    all_frames: int = 0
+    key: str | None = None  # hash of what its results are made of; None before it begins
+    all_frames: int = 0  # sweeps or images of the stage
+    # frames, wall_seconds, seconds: what the last command worked on, how long, and the seconds of
+    # each step
     frames: int = 0
     wall_seconds: float = 0.0
     seconds: dict[str, float] = Field(default_factory=dict)
+    # total_frames, total_seconds, peak_memory_mb: of all commands together
     total_frames: int = 0
     total_seconds: float = 0.0
     peak_memory_mb: int = 0
+    # warnings, left_out: left out are images outside the sweeps
     warnings: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
+    # renderer, density, calibration: who drew, the mean share of pixels with depth, and what images
+    # say of the calibration
     renderer: str | None = None
     density: float | None = None
     calibration: str | None = None
+    # labels, tracks: the folder of classes of another method, and whether its tracks are used
     labels: str | None = None
     tracks: bool | None = None
 
 
 class RunManifest(BaseModel):
-    """The content of run.yaml.
-
-    Attributes
-    ----------
-    docdepth : str
-        Version that started the run.
-    inputs : RunInputs, optional
-        None where the folder was not made of a recording.
-    parameters_at_start : Parameters, optional
-        Before a stage changed some.
-    keep : {"frames", "results"}, optional
-        Which files to keep when the run is complete; ``frames`` if absent.
-    frames_deleted : dict of str to str, optional
-        Keys of the stages whose frames were deleted; frames count as present while these match.
-    chunk_length : float, optional
-        Length of chunks of ground that keep to a budget of memory [m].
-    warnings, estimate
-        What the checks of the inputs have found.
-    folders_written : list of str, optional
-        Folders that docdepth has written into; None if it did not make this folder.
-    trial : str, optional
-        Of ``tune``: hash of what the trial is made of.
-    """
+    """The content of run.yaml."""
 
     model_config = ConfigDict(extra="forbid")
 
-    docdepth: str = __version__
-    inputs: RunInputs | None = None
+    docdepth: str = __version__  # version that started the run
+    inputs: RunInputs | None = None  # None where the folder was not made of a recording
     derived: DerivedInputs = DerivedInputs()
     parameters: Parameters = Parameters()
-    parameters_at_start: Parameters | None = None
+    parameters_at_start: Parameters | None = None  # before a stage changed some
     cameras: dict[str, CameraEntry] = {}
-    keep: Keep | None = None
+    keep: Keep | None = None  # which files to keep when the run is complete; ``frames`` if absent
+    # keys of the stages whose frames were deleted; frames count as present while these match
     frames_deleted: dict[str, str | None] | None = None
+    # length of chunks of ground that keep to a budget of memory [m]
     chunk_length: float | None = None
+    # warnings, estimate: what the checks of the inputs have found
     warnings: list[str] = []
     estimate: str = ""
+    # folders that docdepth has written into; None if it did not make this folder
     folders_written: list[str] | None = None
-    trial: str | None = None
+    trial: str | None = None  # of ``tune``: hash of what the trial is made of
     stages: dict[str, StageEntry] = {}
 
     def continue_with(

@@ -32,28 +32,15 @@ class PcdError(ValueError):
 
 @dataclass(frozen=True)
 class PcdHeader:
-    """The header of a PCD file.
+    """The header of a PCD file."""
 
-    Attributes
-    ----------
-    fields : list of (str, str, int)
-        Name, type in numpy's letters, and values a point. Fields named ``_``, or of 0 values, are
-        padding.
-    count : int
-        Points.
-    viewpoint : ndarray of float64, shape (7,)
-        Where the sensor was: tx ty tz qw qx qy qz.
-    data : str
-        ``ascii``, ``binary`` or ``binary_compressed``.
-    size : int
-        Bytes of the header.
-    """
-
+    # name, type in numpy's letters, and values a point. Fields named ``_``, or of 0 values, are
+    # padding
     fields: list[tuple[str, str, int]]
-    count: int
-    viewpoint: NDArray[np.float64]
-    data: str
-    size: int
+    count: int  # of points
+    viewpoint: NDArray[np.float64]  # (7,): where the sensor was: tx ty tz qw qx qy qz
+    data: str  # ``ascii``, ``binary`` or ``binary_compressed``
+    size: int  # bytes of the header
 
     @property
     def named(self) -> list[tuple[str, str, int]]:

@@ -53,20 +53,13 @@ def _what_else(entry: os.DirEntry[str]) -> str:
 
 
 class StagedFile(NamedTuple):
-    """A file that a worker has written, under a name that it does not keep.
+    """A file that a worker has written, under a name that it does not keep."""
 
-    Attributes
-    ----------
-    part, path : str
-        What it is called now, and what it is to be called; relative to the folder.
-    key : dict
-        What it is made of.
-    """
-
+    # part, path: what it is called now, and what it is to be called; relative to the folder
     part: str
     path: str
     written: Written
-    key: dict[str, str]
+    key: dict[str, str]  # what it is made of
 
 
 class RecordedFolder:

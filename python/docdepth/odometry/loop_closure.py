@@ -53,18 +53,12 @@ _MISFIT = 3.0  # standard deviations that a closure may be off in the end, or ti
 
 @dataclass(frozen=True)
 class Revisit:
-    """A place that may have been seen before.
+    """A place that may have been seen before."""
 
-    Attributes
-    ----------
-    earlier, later : int
-        Numbers of the nodes.
-    radius, turn : float
-        By which poses may have drifted in between [m, rad].
-    """
-
+    # earlier, later: numbers of the nodes
     earlier: int
     later: int
+    # radius, turn: by which poses may have drifted in between [m, rad]
     radius: float
     turn: float
 

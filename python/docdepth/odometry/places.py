@@ -38,40 +38,24 @@ KEPT_SWEEPS = 64
 
 
 class Placed(NamedTuple):
-    """Where a place lies in the frame of another.
+    """Where a place lies in the frame of another."""
 
-    Attributes
-    ----------
-    pose : ndarray of float64, shape (4, 4)
-    likeness : float
-        Of both maps where they fit best, 0 to 1.
-    lead : float
-        That over the likeness of the best other answer.
-    overlap : float
-        Share of what stands in one place and is in reach of the other that both show, the smaller
-        of both ways.
-    turn, shift : float
-        By which registration the other way differs [rad, m].
-    """
-
-    pose: NDArray[np.float64]
-    likeness: float
-    lead: float
+    pose: NDArray[np.float64]  # (4, 4)
+    likeness: float  # of both maps where they fit best, 0 to 1
+    lead: float  # that over the likeness of the best other answer
+    # share of what stands in one place and is in reach of the other that both show, the smaller of
+    # both ways
     overlap: float
+    # turn, shift: by which registration the other way differs [rad, m]
     turn: float
     shift: float
 
 
 @dataclass(frozen=True)
 class Place:
-    """What several sweeps see around a pose.
+    """What several sweeps see around a pose."""
 
-    Attributes
-    ----------
-    points : ndarray of float64, shape (N, 3)
-        In the axes of the world, from the position of the sensor [m].
-    """
-
+    # (N, 3): in the axes of the world, from the position of the sensor [m]
     points: NDArray[np.float64]
 
     def map(self, yaw: float = 0.0) -> NDArray[np.float64]:

@@ -164,23 +164,14 @@ UNKNOWN = 1e2  # metres and radians; standard deviation of a pose that was not m
 
 
 class Found(NamedTuple):
-    """What registration found of a sweep.
+    """What registration found of a sweep."""
 
-    Attributes
-    ----------
-    pose : ndarray of float64, shape (4, 4)
-    covariance : ndarray of float64, shape (6, 6)
-        Of its rotation [rad^2] and its position [m^2], about the axes of the world.
-    usable : bool
-        It has points enough. Otherwise its pose is the predicted one, and the map does not get it.
-    fitting : float
-        Share of its points that find their surfaces in the map.
-    """
-
-    pose: NDArray[np.float64]
+    pose: NDArray[np.float64]  # (4, 4)
+    # (6, 6): of its rotation [rad^2] and its position [m^2], about the axes of the world
     covariance: NDArray[np.float64]
+    # it has points enough. Otherwise its pose is the predicted one, and the map does not get it
     usable: bool
-    fitting: float = 1.0
+    fitting: float = 1.0  # share of its points that find their surfaces in the map
 
 
 class Registration:

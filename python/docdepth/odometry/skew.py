@@ -55,21 +55,15 @@ class Sharpness(NamedTuple):
 
 @dataclass(frozen=True)
 class Skew:
-    """What the sweeps of a recording are, and what tells it.
+    """What the sweeps of a recording are, and what tells it."""
 
-    Attributes
-    ----------
-    state : {"measured", "compensated", "unknown"}
-        Unknown, where two pieces of the drive disagree.
-    turn : Turn
-        How the LiDAR turned, if the sweeps are as measured; else that which fits best. Its stamp is
-        taken for the middle of the sweep: elsewhere, the motion is not that of the whole sweep.
-    measured, compensated : Sharpness
-        Of the world by sweeps deskewed with times of that turn, and by sweeps as they are.
-    """
-
+    # unknown, where two pieces of the drive disagree
     state: Literal["measured", "compensated", "unknown"]
+    # how the LiDAR turned, if the sweeps are as measured; else that which fits best. Its stamp is
+    # taken for the middle of the sweep: elsewhere, the motion is not that of the whole sweep
     turn: Turn
+    # measured, compensated: of the world by sweeps deskewed with times of that turn, and by sweeps
+    # as they are
     measured: Sharpness
     compensated: Sharpness
 

@@ -66,15 +66,11 @@ class DeskewedSweeps(Sequence[LidarFrame]):
 
     A frame has a row for each row of its sweep. Nothing is kept: asking twice reads twice. A slice
     is a list of its frames.
-
-    Attributes
-    ----------
-    motion : callable, optional
-        ``motion(i)`` is the sensor's pose one sweep after stamp ``i``, in its frame at the stamp,
-        float64 (4, 4). Without it sweeps stay as they were measured.
     """
 
     dataset: Dataset
+    # ``motion(i)`` is the sensor's pose one sweep after stamp ``i``, in its frame at the stamp,
+    # float64 (4, 4). Without it sweeps stay as they were measured
     motion: Callable[[int], NDArray[np.float64]] | None
 
     def __len__(self) -> int:

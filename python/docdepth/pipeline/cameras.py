@@ -34,19 +34,11 @@ FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 @dataclass(frozen=True)
 class RunCamera:
-    """A camera of a run.
-
-    Attributes
-    ----------
-    folder : str
-        Where its maps lie in ``depth/``; empty for the first camera of a run.
-    parameters : Parameters
-        Those of the run with the camera's own settings.
-    """
+    """A camera of a run."""
 
     stream: CameraStream
-    folder: str
-    parameters: Parameters
+    folder: str  # where its maps lie in ``depth/``; empty for the first camera of a run
+    parameters: Parameters  # those of the run with the camera's own settings
 
 
 def add_cameras(run: RunFolder, streams: Sequence[CameraStream]) -> None:

@@ -38,17 +38,10 @@ from docdepth.render.layers import check_layers
 
 @dataclass(frozen=True)
 class CheckResult:
-    """What the checks found.
+    """What the checks found."""
 
-    Attributes
-    ----------
-    findings : list of Finding
-        Errors first; empty if all is well.
-    summary : str
-        Sweeps, cameras, memory and disk by estimate; empty if the recording cannot be opened.
-    """
-
-    findings: list[Finding]
+    findings: list[Finding]  # errors first; empty if all is well
+    # sweeps, cameras, memory and disk by estimate; empty if the recording cannot be opened
     summary: str
 
 

@@ -35,26 +35,17 @@ _LEAST_DENSITY = 0.05  # mean share of pixels with depth: 0.5 to 0.8
 
 @dataclass(frozen=True)
 class DepthFiles:
-    """The files of one camera: depth maps, layers, pictures and their description.
-
-    Attributes
-    ----------
-    folder : str
-        Its folder in ``depth/``, ``layers/`` and ``report/``; empty for the first camera of a run.
-    key : str
-        Hash of all that the maps are made of; needed to write.
-    images : dict of int to str
-        The identity of each image, which the pictures show; needed to write.
-    coverage : dict of int to float
-        Share of pixels with depth of each image that is done.
-    """
+    """The files of one camera: depth maps, layers, pictures and their description."""
 
     run: RunFolder
     stream: CameraStream
+    # its folder in ``depth/``, ``layers/`` and ``report/``; empty for the first camera of a run
     folder: str
     parameters: Parameters
-    key: str = ""
+    key: str = ""  # hash of all that the maps are made of; needed to write
+    # the identity of each image, which the pictures show; needed to write
     images: dict[int, str] = field(default_factory=dict)
+    # share of pixels with depth of each image that is done
     coverage: dict[int, float] = field(default_factory=dict)
 
     def of(self, indices: Sequence[int]) -> DepthFiles:

@@ -60,19 +60,12 @@ _Result = TypeVar("_Result")
 
 @dataclass(frozen=True)
 class ChunkContext:
-    """What the work on a chunk gets.
-
-    Attributes
-    ----------
-    threads : int
-        0 for all cores.
-    progress : callable
-        To be called with the number of frames of the chunk that are done.
-    """
+    """What the work on a chunk gets."""
 
     run: RunFolder
-    threads: int
+    threads: int  # 0 for all cores
     timer: Timer
+    # to be called with the number of frames of the chunk that are done
     progress: Callable[[int], None]
 
 

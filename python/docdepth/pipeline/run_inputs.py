@@ -40,21 +40,11 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class OpenedInputs:
-    """The inputs of a run, opened.
+    """The inputs of a run, opened."""
 
-    Attributes
-    ----------
-    recording : Dataset
-        The sweeps that the run is of, in a frame whose z is up.
-    cameras : list of CameraStream
-        Whose depth maps are wanted.
-    derived : DerivedInputs
-        What was found in the inputs.
-    """
-
-    recording: Dataset
-    cameras: list[CameraStream]
-    derived: DerivedInputs
+    recording: Dataset  # the sweeps that the run is of, in a frame whose z is up
+    cameras: list[CameraStream]  # whose depth maps are wanted
+    derived: DerivedInputs  # what was found in the inputs
 
 
 def open_inputs(

@@ -30,33 +30,18 @@ StageInputs = Mapping[str, object]
 
 @dataclass(frozen=True)
 class StageState:
-    """State of a stage of a run.
+    """State of a stage of a run."""
 
-    Attributes
-    ----------
-    name : str
-        ``odometry``, ``classify`` or ``render CAMERA``.
-    state : str
-        ``done``; ``out of date``: made of other parameters or inputs; ``incomplete``: some files
-        are not there; ``damaged``: some files differ from what was written; ``missing``: nothing is
-        there.
-    why : str
-        The reason, if it is not done.
-    frames, all_frames : int
-        Sweeps or images that are done, and all of them.
-    size : int
-        Bytes of its files.
-    seconds : float
-        That it took in all, over all commands.
-    """
-
-    name: str
+    name: str  # ``odometry``, ``classify`` or ``render CAMERA``
+    # ``done``; ``out of date``: made of other parameters or inputs; ``incomplete``: some files are
+    # not there; ``damaged``: some files differ from what was written; ``missing``: nothing is there
     state: State
-    why: str
+    why: str  # the reason, if it is not done
+    # frames, all_frames: sweeps or images that are done, and all of them
     frames: int
     all_frames: int
-    size: int = 0
-    seconds: float = 0.0
+    size: int = 0  # bytes of its files
+    seconds: float = 0.0  # that it took in all, over all commands
 
     def as_dict(self) -> dict[str, object]:
         """All values by name, ready for JSON."""
@@ -65,57 +50,33 @@ class StageState:
 
 @dataclass(frozen=True)
 class FrameOutputs:
-    """The files that a stage writes for one sweep or image.
-
-    Attributes
-    ----------
-    made_of : dict of str to str
-        What the records of these files name beside the key of the stage: the identity of an image.
-    source : str
-        File that ``made_of`` identifies, for messages.
-    """
+    """The files that a stage writes for one sweep or image."""
 
     files: Sequence[Path]
+    # what the records of these files name beside the key of the stage: the identity of an image
     made_of: Mapping[str, str] = field(default_factory=dict)
-    source: str = ""
+    source: str = ""  # file that ``made_of`` identifies, for messages
 
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage of a run.
-
-    Attributes
-    ----------
-    name : str
-        ``odometry``, ``classify``, or ``render CAMERA``.
-    inputs : dict
-        What its results are made of. The entry with the name of another stage is the key of that.
-    frames : sequence of FrameOutputs
-        Of each sweep or image. No files where the run has deleted them since.
-    once : sequence of Path
-        Files of the stage as a whole.
-    folders : sequence of Path
-        Where files of this stage that are out of date may lie.
-    previous : Stage, optional
-        The stage that it reads from.
-    also : dict of str to str
-        What the records of some files of the stage name beside, such as the layers of an image.
-        Files whose records do not name it do not depend on it.
-    reasons : dict of str to str
-        By input: the reason to give if it has changed; its values are told where there is none.
-    save_inputs : callable
-        Called when the stage begins: keeps what is known of the files that it reads.
-    """
+    """A stage of a run."""
 
     run: RunFolder
-    name: str
+    name: str  # ``odometry``, ``classify``, or ``render CAMERA``
+    # what its results are made of. The entry with the name of another stage is the key of that
     inputs: StageInputs
+    # of each sweep or image. No files where the run has deleted them since
     frames: Sequence[FrameOutputs]
-    once: Sequence[Path] = ()
-    folders: Sequence[Path] = ()
-    previous: Stage | None = None
+    once: Sequence[Path] = ()  # files of the stage as a whole
+    folders: Sequence[Path] = ()  # where files of this stage that are out of date may lie
+    previous: Stage | None = None  # the stage that it reads from
+    # what the records of some files of the stage name beside, such as the layers of an image. Files
+    # whose records do not name it do not depend on it
     also: Mapping[str, str] = field(default_factory=dict)
+    # by input: the reason to give if it has changed; its values are told where there is none
     reasons: Mapping[str, str] = field(default_factory=dict)
+    # called when the stage begins: keeps what is known of the files that it reads
     save_inputs: Callable[[], None] = lambda: None
 
     @cached_property
@@ -251,25 +212,14 @@ _WERE_DELETED = "its frames were deleted when all was done (`keep='results'`)"
 
 @dataclass
 class Profile:
-    """What a stage took.
-
-    Attributes
-    ----------
-    frames : int
-        Frames that this command worked on; an earlier one may have done the others.
-    share : float
-        Of the timer's seconds, where stages share one.
-    more : dict
-        Further entries of the stage in run.yaml.
-    findings : list of Finding
-        What looks wrong with the results.
-    """
+    """What a stage took."""
 
     timer: Timer = field(default_factory=Timer)
-    frames: int = 0
-    share: float = 1.0
+    frames: int = 0  # frames that this command worked on; an earlier one may have done the others
+    share: float = 1.0  # of the timer's seconds, where stages share one
+    # further entries of the stage in run.yaml
     more: dict[str, object] = field(default_factory=dict)
-    findings: list[Finding] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)  # what looks wrong with the results
 
     def add(self, findings: Iterable[Finding]) -> None:
         """Keep findings of a check, and log them."""

@@ -33,27 +33,13 @@ class SpeedProfile(Protocol):
 
 @dataclass(frozen=True)
 class Pace:
-    """Speed profile: stands until ``departure``, then accelerates up to ``speed``.
+    """Speed profile: stands until ``departure``, then accelerates up to ``speed``."""
 
-    Attributes
-    ----------
-    speed : float
-        Final speed [m/s].
-    departure : float
-        Start of the motion [s]; minus infinity = has always been moving.
-    acceleration : float
-        [m/s^2].
-    wave : float
-        Amplitude of a speed variation, as a share of ``speed``.
-    period : float
-        Period of that variation [s].
-    """
-
-    speed: float
-    departure: float = -np.inf
-    acceleration: float = 1.8
-    wave: float = 0.0
-    period: float = 7.0
+    speed: float  # final speed [m/s]
+    departure: float = -np.inf  # start of the motion [s]; minus infinity = has always been moving
+    acceleration: float = 1.8  # [m/s^2]
+    wave: float = 0.0  # amplitude of a speed variation, as a share of ``speed``
+    period: float = 7.0  # period of that variation [s]
 
     def distance(self, times: ArrayLike) -> Floats:
         """Distance travelled by ``times`` [s], metres; 0 at time 0 if it has always been moving."""
@@ -75,22 +61,14 @@ class Pace:
 
 @dataclass(frozen=True)
 class Path:
-    """A polyline of points (s, d) on the road, travelled with a speed profile.
-
-    Attributes
-    ----------
-    points : array_like, shape (k, 2)
-    start : float
-        Position along the path at which the distance of ``pace`` is 0 [m].
-    length, width : float
-        Distances between the four points that rest on the ground [m]; corners are rounded over
-        ``length``.
-    """
+    """A polyline of points (s, d) on the road, travelled with a speed profile."""
 
     road: Road
-    points: ArrayLike
+    points: ArrayLike  # (k, 2)
     pace: SpeedProfile
-    start: float = 0.0
+    start: float = 0.0  # position along the path at which the distance of ``pace`` is 0 [m]
+    # length, width: distances between the four points that rest on the ground [m]; corners are
+    # rounded over ``length``
     length: float = 2.6
     width: float = 1.5
 
@@ -132,21 +110,13 @@ class Part:
 
 @dataclass(frozen=True)
 class Actor:
-    """An object that moves or may move.
-
-    Attributes
-    ----------
-    label : int
-        SemanticKITTI class if it never moves during the drive.
-    moving_label : int
-        SemanticKITTI class if it moves at any time of the drive.
-    """
+    """An object that moves or may move."""
 
     name: str
     parts: Sequence[Part]
     path: Path
-    label: int
-    moving_label: int
+    label: int  # SemanticKITTI class if it never moves during the drive
+    moving_label: int  # SemanticKITTI class if it moves at any time of the drive
 
     @cached_property
     def radius(self) -> float:

@@ -54,30 +54,15 @@ class Target:
 
 @dataclass(frozen=True)
 class Hits:
-    """First hit of each ray.
+    """First hit of each ray."""
 
-    Attributes
-    ----------
-    range : ndarray of float64, shape (N,)
-        Metres; inf = no hit.
-    face : ndarray of int32, shape (N,)
-        Index into the surface of :class:`World`; -1 = no hit.
-    labels : ndarray of uint32, shape (N,)
-        SemanticKITTI class in the low 16 bits, instance in the high 16 bits.
-    speed : ndarray of float32, shape (N,)
-        Speed of the object at that moment [m/s].
-    cosine : ndarray of float32, shape (N,)
-        Cosine of the angle of incidence.
-    normals : ndarray of float32, shape (N, 3)
-        World frame, facing the origin of the ray.
-    """
-
-    range: Floats
-    face: NDArray[np.int32]
+    range: Floats  # (N,): metres; inf = no hit
+    face: NDArray[np.int32]  # (N,): index into the surface of :class:`World`; -1 = no hit
+    # (N,): SemanticKITTI class in the low 16 bits, instance in the high 16 bits
     labels: NDArray[np.uint32]
-    speed: NDArray[np.float32]
-    cosine: NDArray[np.float32]
-    normals: NDArray[np.float32]
+    speed: NDArray[np.float32]  # (N,): speed of the object at that moment [m/s]
+    cosine: NDArray[np.float32]  # (N,): cosine of the angle of incidence
+    normals: NDArray[np.float32]  # (N, 3): world frame, facing the origin of the ray
 
 
 @dataclass(frozen=True)
@@ -85,23 +70,12 @@ class Rays:
     """Rays in world coordinates, each at its own time.
 
     Neighbours in the list should have similar directions: they are bounded in blocks.
-
-    Attributes
-    ----------
-    origins : ndarray of float64, shape (N, 3)
-        Origins [m].
-    directions : ndarray of float64, shape (N, 3)
-        Unit vectors, so that ``t`` along a ray is metres.
-    times : ndarray of float64, shape (m,)
-        Times at which rays leave, increasing [s].
-    which : ndarray of int64, shape (N,)
-        Index into ``times`` for each ray.
     """
 
-    origins: Floats
-    directions: Floats
-    times: Floats
-    which: NDArray[np.int64]
+    origins: Floats  # (N, 3): origins [m]
+    directions: Floats  # (N, 3): unit vectors, so that ``t`` along a ray is metres
+    times: Floats  # (m,): times at which rays leave, increasing [s]
+    which: NDArray[np.int64]  # (N,): index into ``times`` for each ray
 
     @cached_property
     def bounds(self) -> tuple[Floats, float]:

@@ -15,37 +15,21 @@ SURFACE = np.dtype([("label", np.uint32), ("colour", np.float32, 3), ("reflectiv
 
 
 class Paint(NamedTuple):
-    """Material of a face.
+    """Material of a face."""
 
-    Attributes
-    ----------
-    label : int
-        SemanticKITTI class.
-    colour : tuple of float
-        Red, green, blue in 0..1.
-    reflectivity : float
-        Diffuse reflectivity at the wavelength of the LiDAR, 0..1; above 1 for retro-reflectors.
-    """
-
-    label: int
-    colour: Colour
+    label: int  # SemanticKITTI class
+    colour: Colour  # red, green, blue in 0..1
+    # diffuse reflectivity at the wavelength of the LiDAR, 0..1; above 1 for retro-reflectors
     reflectivity: float = 0.3
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles and what they are made of.
+    """Triangles and what they are made of."""
 
-    Attributes
-    ----------
-    vertices : ndarray of float64, shape (V, 3)
-    faces : ndarray of int32, shape (F, 3)
-    surface : ndarray of SURFACE, shape (F,)
-    """
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    surface: NDArray[Any]
+    vertices: NDArray[np.float64]  # (V, 3)
+    faces: NDArray[np.int32]  # (F, 3)
+    surface: NDArray[Any]  # (F,)
 
     def __len__(self) -> int:
         return len(self.faces)

@@ -23,24 +23,13 @@ _ZENITH = np.array((0.40, 0.58, 0.85), np.float32)
 
 @dataclass(frozen=True)
 class View:
-    """One image with exact ground truth.
+    """One image with exact ground truth."""
 
-    Attributes
-    ----------
-    depth : ndarray of float32, shape (h, w)
-        Depth along the optical axis [m]; NaN = no surface.
-    labels : ndarray of uint32, shape (h, w)
-        As for the points of a sweep; 0 for the sky.
-    normals : ndarray of float32, shape (h, w, 3)
-        Of the surface in the camera frame, towards the camera; 0 where there is none.
-    colour : ndarray of uint8, shape (h, w, 3)
-        Red, green, blue.
-    """
-
-    depth: NDArray[np.float32]
-    labels: NDArray[np.uint32]
+    depth: NDArray[np.float32]  # (h, w): depth along the optical axis [m]; NaN = no surface
+    labels: NDArray[np.uint32]  # (h, w): as for the points of a sweep; 0 for the sky
+    # (h, w, 3): of the surface in the camera frame, towards the camera; 0 where there is none
     normals: NDArray[np.float32]
-    colour: NDArray[np.uint8]
+    colour: NDArray[np.uint8]  # (h, w, 3): red, green, blue
 
 
 def photograph(world: World, camera: Camera, T_scene_camera: Floats, second: float) -> View:

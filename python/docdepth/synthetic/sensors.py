@@ -16,69 +16,36 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Pattern:
-    """The rays of one sweep.
+    """The rays of one sweep."""
 
-    Attributes
-    ----------
-    directions : ndarray of float64, shape (N, 3)
-        Unit vectors in the LiDAR frame.
-    relative_times : ndarray of float64, shape (m,)
-        Distinct firing times after the stamp, as shares of a sweep, -0.5..0.5.
-    which : ndarray of int64, shape (N,)
-        Index into ``relative_times`` for each ray.
-    rings : ndarray of int64, shape (N,)
-        Index of the laser.
-    ray_origins : ndarray of float64, shape (N, 3), optional
-        LiDAR frame [m]; None = all rays start at the origin.
-    """
-
-    directions: Floats
+    directions: Floats  # (N, 3): unit vectors in the LiDAR frame
+    # (m,): distinct firing times after the stamp, as shares of a sweep, -0.5..0.5
     relative_times: Floats
-    which: NDArray[np.int64]
-    rings: NDArray[np.int64]
+    which: NDArray[np.int64]  # (N,): index into ``relative_times`` for each ray
+    rings: NDArray[np.int64]  # (N,): index of the laser
+    # (N, 3): LiDAR frame [m]; None = all rays start at the origin
     ray_origins: Floats | None = None
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """A LiDAR.
-
-    Attributes
-    ----------
-    pattern : callable
-        Gives the rays of sweep ``k``.
-    reach : float
-        Range at which half of the pulses return from a surface of reflectivity 0.1 at normal
-        incidence [m]; determines dropout.
-    min_range, max_range : float
-        Limits of the measured range [m].
-    noise : float
-        Standard deviation of range [m].
-    bias : float
-        Standard deviation of the constant range error of each laser [m].
-    period : float
-        Duration of a sweep [s].
-    height : float
-        Height above the ground [m].
-    spins : bool
-        The azimuth of a return tells its time.
-    beam_width : float
-        Full angle of a beam [rad]; 0 = each beam is a line.
-    blooming : float
-        Ghost returns appear around retro-reflectors, up to this angle from them [rad].
-    """
+    """A LiDAR."""
 
     name: str
-    pattern: Callable[[int], Pattern]
+    pattern: Callable[[int], Pattern]  # gives the rays of sweep ``k``
+    # range at which half of the pulses return from a surface of reflectivity 0.1 at normal
+    # incidence [m]; determines dropout
     reach: float
+    # min_range, max_range: limits of the measured range [m]
     min_range: float
     max_range: float
-    noise: float
-    bias: float = 0.0
-    period: float = 0.1
-    height: float = 1.73
-    spins: bool = True
-    beam_width: float = 0.0
+    noise: float  # standard deviation of range [m]
+    bias: float = 0.0  # standard deviation of the constant range error of each laser [m]
+    period: float = 0.1  # duration of a sweep [s]
+    height: float = 1.73  # height above the ground [m]
+    spins: bool = True  # the azimuth of a return tells its time
+    beam_width: float = 0.0  # full angle of a beam [rad]; 0 = each beam is a line
+    # ghost returns appear around retro-reflectors, up to this angle from them [rad]
     blooming: float = 0.0
 
     def returned(

@@ -40,23 +40,12 @@ _PLOTTED = {"labels": ("iou", "precision"), "depth": ("mae", "density")}
 
 @dataclass(frozen=True)
 class Outcome:
-    """Score of one trial on one run, or its mean over several.
+    """Score of one trial on one run, or its mean over several."""
 
-    Attributes
-    ----------
-    run : str
-        Name of the run folder.
-    name : str
-        Of the trial.
-    settings : dict
-        Parameter values of the trial by dotted name.
-    metrics : dict
-        All that was measured, as ``docdepth evaluate --json`` prints it.
-    """
-
-    run: str
-    name: str
-    settings: Settings
+    run: str  # name of the run folder
+    name: str  # of the trial
+    settings: Settings  # parameter values of the trial by dotted name
+    # all that was measured, as ``docdepth evaluate --json`` prints it
     metrics: Mapping[str, object]
 
     def metric(self, name: str) -> float:

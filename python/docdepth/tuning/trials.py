@@ -22,21 +22,13 @@ from docdepth.io.untrusted import read_text
 
 @dataclass(frozen=True)
 class Trial:
-    """One parameter set.
+    """One parameter set."""
 
-    Attributes
-    ----------
-    name : str
-        Names the result file and the row of the table.
-    settings : dict
-        Values by dotted name that replace those of the run, ``{"dynamics.window": 3}``. The key
-        ``preset`` starts from that preset instead of the parameters of the run.
-    given : str
-        Where it was given, for messages; its name if empty.
-    """
-
-    name: str
+    name: str  # names the result file and the row of the table
+    # values by dotted name that replace those of the run, ``{"dynamics.window": 3}``. The key
+    # ``preset`` starts from that preset instead of the parameters of the run
     settings: Settings
+    # where it was given, for messages; its name if empty
     given: str = field(default="", compare=False)
 
     def refused(self, why: str) -> ConfigError:

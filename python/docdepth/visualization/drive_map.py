@@ -53,24 +53,14 @@ _GROUND_CELL = 2.0  # metres; the ground is flat in such a cell
 
 @dataclass(frozen=True)
 class DriveMap:
-    """A picture of a drive from above, turned so that the drive goes to the right.
+    """A picture of a drive from above, turned so that the drive goes to the right."""
 
-    Attributes
-    ----------
-    picture : ndarray of uint8, shape (h, w, 3)
-        Grey: white where no beam came, light ground, darker the higher something stands.
-    heading : float
-        Angle from the world's x towards y that points to the right in the picture [rad].
-    corner : ndarray of float64, shape (2,)
-        Upper left corner of the picture, in the turned world [m].
-    cell : float
-        Metres a pixel.
-    """
-
+    # (h, w, 3): grey: white where no beam came, light ground, darker the higher something stands
     picture: Picture
+    # angle from the world's x towards y that points to the right in the picture [rad]
     heading: float
-    corner: NDArray[np.float64]
-    cell: float
+    corner: NDArray[np.float64]  # (2,): upper left corner of the picture, in the turned world [m]
+    cell: float  # metres a pixel
 
     def pixels(self, places: NDArray[np.floating]) -> NDArray[np.float64]:
         """Column and row (n, 2) of places in the world (n, 2 or more) [m]."""

@@ -59,20 +59,12 @@ class SweepScene:
 
 @dataclass(frozen=True)
 class CameraView:
-    """A camera in the world, with or without a depth map.
-
-    Attributes
-    ----------
-    T_world_camera : ndarray of float64, shape (4, 4)
-    depth : ndarray of float32, shape (h, w), optional
-        Metres along the optical axis; NaN = none.
-    image : ndarray of uint8, shape (h, w, 3), optional
-        Rectified, BGR; colours the points of the depth map.
-    """
+    """A camera in the world, with or without a depth map."""
 
     camera: Camera
-    T_world_camera: NDArray[np.float64]
-    depth: NDArray[np.float32] | None = None
+    T_world_camera: NDArray[np.float64]  # (4, 4)
+    depth: NDArray[np.float32] | None = None  # (h, w): metres along the optical axis; NaN = none
+    # (h, w, 3): rectified, BGR; colours the points of the depth map
     image: NDArray[np.uint8] | None = None
 
 

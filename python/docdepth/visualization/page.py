@@ -197,26 +197,15 @@ def scale(colors: Picture, ticks: Iterable[tuple[float, str]]) -> str:
 
 
 class Leaf(NamedTuple):
-    """An image of a book.
-
-    Attributes
-    ----------
-    views : dict of str to str
-        Links that hold the pictures, by view. The view ``image`` is the photo, which others can be
-        wiped away from.
-    seconds : float
-        When it was taken, for what else the page shows of that time.
-    values : str
-        Link that holds the depth, of :func:`embedded_depth`; empty without.
-    file : str
-        A picture beside the page, for an image whose pictures the page does not hold.
-    """
+    """An image of a book."""
 
     caption: str
+    # links that hold the pictures, by view. The view ``image`` is the photo, which others can be
+    # wiped away from
     views: dict[str, str]
-    seconds: float = 0.0
-    values: str = ""
-    file: str = ""
+    seconds: float = 0.0  # when it was taken, for what else the page shows of that time
+    values: str = ""  # link that holds the depth, of :func:`embedded_depth`; empty without
+    file: str = ""  # a picture beside the page, for an image whose pictures the page does not hold
 
 
 _WIPE = (

@@ -34,22 +34,14 @@ _LAYERS = ("confidence", "seen", "instance")  # shown where the run has them
 
 
 class CameraPage(NamedTuple):
-    """What the report says of a camera.
-
-    Attributes
-    ----------
-    leaves : list of Leaf
-        Its images, some of them with the views ``image``, ``depth``, ``class`` and layers, the
-        others as the files beside the page.
-    density : list of (int, float)
-        Time [ns] and share of pixels with depth of each map.
-    below_horizon : float
-        The same share of the pixels below the horizon, mean over the leaves; NaN without such.
-    """
+    """What the report says of a camera."""
 
     name: str
+    # its images, some of them with the views ``image``, ``depth``, ``class`` and layers, the others
+    # as the files beside the page
     leaves: list[Leaf]
-    density: list[tuple[int, float]]
+    density: list[tuple[int, float]]  # time [ns] and share of pixels with depth of each map
+    # the same share of the pixels below the horizon, mean over the leaves; NaN without such
     below_horizon: float
 
 

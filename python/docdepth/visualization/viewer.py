@@ -62,34 +62,17 @@ class RunView:
     Ground is blue, static points are light grey, dynamic points orange. Boxes have the colours of
     their tracks, with a line ahead. The depth map nearest in time to the sweep is back-projected,
     in the colours of its image or else of depth. The image stands in its frustum.
-
-    Attributes
-    ----------
-    run : RunFolder
-        With classified sweeps.
-    frame : int, optional
-        Index of the sweep; the middle of the drive by default.
-    camera : str, optional
-        Whose depth map; needed if the run has several.
-    around : int
-        Also show the static points of as many sweeps before and after.
-    depth : bool
-        Show cameras and the depth map.
-    color : {"class", "votes", "instance"}
-        What the colours of points say. Votes go from grey, static, to orange, dynamic.
-    stream : CameraStream, optional
-        The camera; its images are shown.
-    tell : callable, optional
-        Called with what is shown, whenever that changes: Open3D writes no text into its window.
     """
 
-    run: RunFolder
-    frame: InitVar[int | None] = None
-    camera: str | None = None
-    around: int = 0
-    depth: bool = True
+    run: RunFolder  # with classified sweeps
+    frame: InitVar[int | None] = None  # index of the sweep; the middle of the drive by default
+    camera: str | None = None  # whose depth map; needed if the run has several
+    around: int = 0  # also show the static points of as many sweeps before and after
+    depth: bool = True  # show cameras and the depth map
+    # what the colours of points say. Votes go from grey, static, to orange, dynamic
     color: Coloring = "class"
-    stream: CameraStream | None = None
+    stream: CameraStream | None = None  # the camera; its images are shown
+    # called with what is shown, whenever that changes: Open3D writes no text into its window
     tell: Callable[[str], None] | None = None
 
     def __post_init__(self, frame: int | None) -> None:

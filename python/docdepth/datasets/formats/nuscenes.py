@@ -99,15 +99,9 @@ class Tables:
 
 
 class NuscenesSettings(RecordingSettings):
-    """What docdepth.yaml of a recording in this layout takes.
+    """What docdepth.yaml of a recording in this layout takes."""
 
-    Attributes
-    ----------
-    lidar : str
-        The channel whose sweeps are read.
-    """
-
-    lidar: str = "LIDAR_TOP"
+    lidar: str = "LIDAR_TOP"  # the channel whose sweeps are read
 
 
 def turned(rows: NDArray[Any], where: str) -> Cloud:

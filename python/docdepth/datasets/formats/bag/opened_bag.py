@@ -23,45 +23,28 @@ _LATEST = 10**9  # ns; so much later than another a message hardly arrives
 
 
 class BagLidarSettings(Strict):
-    """A topic of points.
+    """A topic of points."""
 
-    Attributes
-    ----------
-    T_lidar_sensor : list of float, optional
-        Takes its points to the frame of the first LiDAR; from the static transforms if left out.
-    angles : str, optional
-        Of packets of a Hesai, see :func:`~.hesai.read_angles`.
-    metadata : str, optional
-        File of the metadata of an Ouster whose packets the topic holds; of the bag if left out.
-    """
-
+    # takes its points to the frame of the first LiDAR; from the static transforms if left out
     T_lidar_sensor: Numbers | None = None
-    angles: str | None = None
+    angles: str | None = None  # of packets of a Hesai, see :func:`~.hesai.read_angles`
+    # file of the metadata of an Ouster whose packets the topic holds; of the bag if left out
     metadata: str | None = None
 
 
 class BagSettings(RecordingSettings):
-    """What ``docdepth.yaml`` beside a bag may say.
+    """What ``docdepth.yaml`` beside a bag may say."""
 
-    Attributes
-    ----------
-    lidars : dict
-        Topics of points, the first of which gives stamps and frame. Needed where there are several.
-    cameras : dict
-        By topic of images, what the bag lacks.
-    stamps : {"header", "record"}
-        Which times count: of the messages' headers, or of their recording.
-    odometry_frame : str, optional
-        The frame whose place the topic ``poses`` tells, where its messages do not name it.
-    T_odometry_lidar : list of float, optional
-        Takes points of the first LiDAR to the frame whose place the topic ``poses`` tells; from the
-        static transforms if left out.
-    """
-
+    # topics of points, the first of which gives stamps and frame. Needed where there are several
     lidars: dict[str, BagLidarSettings | None] = Field(default_factory=dict)
+    # by topic of images, what the bag lacks
     cameras: dict[str, CameraSettings] = Field(default_factory=dict)
+    # which times count: of the messages' headers, or of their recording
     stamps: Literal["header", "record"] = "header"
+    # the frame whose place the topic ``poses`` tells, where its messages do not name it
     odometry_frame: str | None = None
+    # takes points of the first LiDAR to the frame whose place the topic ``poses`` tells; from the
+    # static transforms if left out
     T_odometry_lidar: Numbers | None = None
 
 

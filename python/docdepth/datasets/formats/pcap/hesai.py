@@ -62,15 +62,9 @@ _DAY = 86_400_000_000  # microseconds
 
 
 class HesaiSettings(RecordingSettings):
-    """What ``docdepth.yaml`` beside a capture may say.
+    """What ``docdepth.yaml`` beside a capture may say."""
 
-    Attributes
-    ----------
-    angles : str, optional
-        See :func:`read_angles`.
-    """
-
-    angles: str | None = None
+    angles: str | None = None  # see :func:`read_angles`
 
 
 def decode_packets(

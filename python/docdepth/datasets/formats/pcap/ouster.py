@@ -25,15 +25,9 @@ _SAME_CLOCK = 3_600_000_000_000  # ns between host and LiDAR; more, and the LiDA
 
 
 class OusterSettings(RecordingSettings):
-    """What ``docdepth.yaml`` beside a capture may say.
+    """What ``docdepth.yaml`` beside a capture may say."""
 
-    Attributes
-    ----------
-    metadata : str, optional
-        File of the sensor's metadata; found by its name if left out.
-    """
-
-    metadata: str | None = None
+    metadata: str | None = None  # file of the sensor's metadata; found by its name if left out
 
 
 class OusterCapture:
