@@ -80,11 +80,11 @@ def test_truth_colors_found_missed_and_false() -> None:
 def test_range_image_has_forward_in_the_middle() -> None:
     points = np.array([[10, 0, 0], [0, 10, 1], [np.nan, 0, 0], [0, 0, 0]], np.float32)
     classid = np.array([100, 50, 50, 50], np.uint16)
-    picture = visualize.labels_in_range_image(points, classid, resolution_deg=1.0)
-    rows, columns = np.nonzero((picture == visualize.DYNAMIC_COLOR).all(axis=2))
-    assert set(columns) == {180}
+    picture = visualize.labels_in_range_image(points, classid, classid >= 100)
+    rows, columns = np.nonzero((picture == visualize.FOUND_COLOR).all(axis=2))
+    assert set(columns) == {900}
     left = np.nonzero((picture == visualize.STATIC_COLOR).all(axis=2))
-    assert set(left[1]) == {90}
+    assert set(left[1]) == {450}
     assert left[0].max() < rows.min()
 
 

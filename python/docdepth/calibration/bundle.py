@@ -24,7 +24,7 @@ from docdepth.calibration.board import Board
 from docdepth.calibration.lens import Lens
 from docdepth.calibration.outline import crossings, rays_near
 from docdepth.calibration.sweeps import BoardSweep
-from docdepth.geometry.se3 import inverse, rotation_exp, rotation_log
+from docdepth.geometry.se3 import inverse, rotation_exp, rotation_log, transform_points
 
 Floats = NDArray[np.float64]
 
@@ -164,7 +164,7 @@ class _View:
 
     def corner_errors(self, lens: Lens, T_camera_board: Floats) -> Floats:
         """Pixels (n, 2) from the corners found."""
-        places = self._board.corners @ T_camera_board[:3, :3].T + T_camera_board[:3, 3]
+        places = transform_points(T_camera_board, self._board.corners)
         return np.nan_to_num(lens.project(places) - self._corners, nan=_BEHIND)
 
     def heights(self, at: Solution, T_camera_board: Floats) -> Floats:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from docdepth.calibration.board import Board
 from docdepth.calibration.lens import Lens
+from docdepth.geometry.se3 import transform_points
 
 Floats = NDArray[np.float64]
 _SUBPIXEL = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
@@ -122,7 +123,7 @@ def board_pose(corners: Floats, board: Board, lens: Lens) -> tuple[Floats, float
         )
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(vector)[0], np.ravel(shift)
-        seen = lens.project(places @ pose[:3, :3].T + pose[:3, 3])
+        seen = lens.project(transform_points(pose, places))
         error = float(np.sqrt(np.mean(np.sum((seen - corners) ** 2, axis=1))))
         candidates.append((np.inf if np.isnan(error) else error, pose))
     error, pose = min(candidates, key=lambda candidate: candidate[0])

@@ -21,7 +21,7 @@ from docdepth.calibration.find import FEWEST_BOARDS
 from docdepth.calibration.outline import rays_near
 from docdepth.concurrency import Progress, null_progress
 from docdepth.errors import CalibrationError
-from docdepth.geometry.se3 import inverse, rotation_log
+from docdepth.geometry.se3 import inverse, rotation_log, transform_points
 
 Floats = NDArray[np.float64]
 
@@ -69,9 +69,9 @@ def leave_one_out(
             board, [observations[j] for j in rest], solution.of(rest), free_lens, AT_EDGE[-1:]
         )
         pose, lens = board_pose(observation.corners, board, others.lens)[0], others.lens
-        seen = board.outline @ pose[:3, :3].T + pose[:3, 3]
+        seen = transform_points(pose, board.outline)
         pose = pose_by_sweep(board, observation, others, pose)
-        swept = board.outline @ pose[:3, :3].T + pose[:3, 3]
+        swept = transform_points(pose, board.outline)
         left_out.append(
             LeftOutBoard(
                 observation.name,

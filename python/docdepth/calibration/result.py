@@ -19,9 +19,10 @@ from docdepth.calibration.lens import Lens
 from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets.files import read_image_of
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import transform_points
 from docdepth.io.atomic import write_output
 from docdepth.io.calibration import write_calibration
-from docdepth.visualization.pictures import Picture, overlay
+from docdepth.visualization.pictures import Picture, overlay, spread_depth
 
 
 def quality_of(found: Calibration) -> dict[str, object]:
@@ -122,24 +123,21 @@ def points_on_image(image: Picture, board: Board, pair: BoardPair, solution: Sol
         The outline is where its corners have it; without corners there is none.
     """
     lens, T = solution.lens, solution.T_camera_lidar
-    points = pair.sweep.points @ T[:3, :3].T + T[:3, 3]
+    points = transform_points(T, pair.sweep.points)
     side, thick = (max(round(share * lens.width), 1) for share in (_POINT, _LINE))
     depth = np.full((lens.height, lens.width), np.inf, np.float32)
     seen = _in_view(lens, points)
     pixels = np.rint(lens.project(points[seen])).astype(int)
     inside = lens.in_image(pixels)
-    # Near points are drawn last, over those behind them.
-    order = np.argsort(-points[seen][inside, 2])
-    for (u, v), z in zip(pixels[inside][order], points[seen][inside][order, 2], strict=True):
-        depth[max(v - side, 0) : v + side + 1, max(u - side, 0) : u + side + 1] = z
-    depth[np.isinf(depth)] = np.nan
-    picture = overlay(depth, image, 1.0, _NEAR, _FAR)
+    u, v = pixels[inside].T
+    np.minimum.at(depth, (v, u), points[seen][inside, 2].astype(np.float32))
+    picture = overlay(spread_depth(depth, side), image, 1.0, _NEAR, _FAR)
     if pair.corners is not None:
         pose = board_pose(pair.corners, board, lens)[0]
         corners = board.outline
         share = np.linspace(0, 1, _ALONG, endpoint=False)[:, None]
         sides = [a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)]
-        outline = np.concatenate(sides) @ pose[:3, :3].T + pose[:3, 3]
+        outline = transform_points(pose, np.concatenate(sides))
         line = np.rint(lens.project(outline)).astype(np.int32)
         cv2.polylines(picture, [line], True, _OUTLINE, thick, cv2.LINE_AA)
         for u, v in np.rint(pair.corners).astype(int).tolist():

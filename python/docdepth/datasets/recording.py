@@ -31,7 +31,7 @@ from docdepth.datasets.views import without_ego
 from docdepth.errors import DatasetError, DocDepthError
 from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.points import usable_points
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import inverse, transform_points
 
 log = logging.getLogger(__name__)
 
@@ -292,7 +292,7 @@ class Recording(DatasetRepr):
                 )  # fmt: skip
         if number:
             T = stream.T_lidar_sensor
-            points = (points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+            points = transform_points(T, points.astype(np.float64)).astype(np.float32)
         return Part(number, cloud, points, relative, int(stream.times[own] - self.times[index]))
 
     def _in_lidar_frame(self, cloud: Cloud, own: int) -> NDArray[np.float32]:
@@ -305,7 +305,7 @@ class Recording(DatasetRepr):
                     "to the LiDAR; say poses in docdepth.yaml"
                 )
             T = inverse(self.poses[own])
-            points = points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
+            points = transform_points(T, points.astype(np.float64))
             points[(cloud.points == 0).all(axis=1)] = np.nan
         return np.ascontiguousarray(points, np.float32)
 

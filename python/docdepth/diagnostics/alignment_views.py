@@ -17,7 +17,7 @@ from docdepth.diagnostics.sweeps import sample
 from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.scan_mesh import ScanMesh
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import inverse, transform_points
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry.deskewing import centred_motion, deskew
 
@@ -78,7 +78,7 @@ def views_of(recording: Dataset, stream: CameraStream, sweeps: Mapping[int, Swee
                 ends = np.stack([deskew(end, late, own) for end in ends.astype(np.float32)])
             T_world_image = trajectory.interpolate(stream.times[image : image + 1])[0]
             motion = inverse(T_world_image) @ trajectory.poses[index]
-            ends, travel = ends @ motion[:3, :3].T + motion[:3, 3], -motion[:3, 3]
+            ends, travel = transform_points(motion, ends), -motion[:3, 3]
         if weight.sum() >= _FEWEST_EDGES:
             views.append(View(ends, weight, image, edge_strength(stream, image), travel))
     return views
@@ -136,7 +136,7 @@ def _origins(rig: SensorRig | None, count: int) -> NDArray[np.float64]:
 def _around_image(points: NDArray[np.float32], stream: CameraStream) -> NDArray[np.bool_]:
     """Points in the image, or near it: also those that a camera would see that is turned a bit."""
     camera = stream.camera
-    x, y, z = (points @ stream.T_camera_lidar[:3, :3].T + stream.T_camera_lidar[:3, 3]).T
+    x, y, z = transform_points(stream.T_camera_lidar, points).T
     half_width, half_height = camera.width / 2, camera.height / 2
     u = camera.K[0, 0] * x + (camera.K[0, 2] - half_width) * z
     v = camera.K[1, 1] * y + (camera.K[1, 2] - half_height) * z

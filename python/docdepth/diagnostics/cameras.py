@@ -20,6 +20,7 @@ from docdepth.datasets.files import (
 from docdepth.diagnostics.alignment import find_misalignment
 from docdepth.diagnostics.sweeps import broken_frames_found, sample
 from docdepth.errors import Collector, DatasetError, Finding, collected
+from docdepth.geometry.se3 import transform_points
 from docdepth.io.untrusted import open_file, read_text
 
 _IMAGES = 6  # that are opened
@@ -189,7 +190,7 @@ def _seen(stream: CameraStream, sweeps: dict[int, Sweep]) -> tuple[float, float]
     reached: NDArray[np.bool_] = np.zeros(_COLUMNS, np.bool_)
     for sweep in sweeps.values():
         points = sweep.points[usable_points(sweep.points)]
-        x, y, z = (points @ stream.T_camera_lidar[:3, :3].T + stream.T_camera_lidar[:3, 3]).T
+        x, y, z = transform_points(stream.T_camera_lidar, points).T
         x, y, z = x[z > 0.1], y[z > 0.1], z[z > 0.1]
         u = camera.K[0, 0] * x / z + camera.K[0, 2]
         v = camera.K[1, 1] * y / z + camera.K[1, 2]

@@ -12,7 +12,7 @@ from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.errors import Finding
 from docdepth.geometry.points import DYNAMIC
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import inverse, transform_points
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.odometry.deskewing import centred_motion, deskew
@@ -190,7 +190,7 @@ def _partner(trajectory: Trajectory, index: int) -> int | None:
 def _moved(points: Points, trajectory: Trajectory, index: int, into: int) -> Floats:
     """Points of a sweep in the frame of another one."""
     T = inverse(trajectory.poses[into]) @ trajectory.poses[index]
-    return np.asarray(points.astype(np.float64) @ T[:3, :3].T + T[:3, 3])
+    return transform_points(T, points.astype(np.float64))
 
 
 def _distance(cloud: Floats, other: Floats) -> float:

@@ -19,6 +19,7 @@ from docdepth.geometry.se3 import (
     quaternion_to_matrix,
     rotation_exp,
     rotation_log,
+    transform_points,
 )
 
 Poses = NDArray[np.float64]
@@ -261,7 +262,7 @@ def share_on(
     target, source = (_sampled(points, ground) for points in (first, second))
     if not len(target) or not len(source):
         return 0.0
-    moved = source @ motion[:3, :3].T + motion[:3, 3]
+    moved = transform_points(motion, source)
     _, squared = small_gicp.KdTree(target).batch_nearest_neighbor_search(moved)
     return float(np.mean(np.asarray(squared) < _ON**2))
 

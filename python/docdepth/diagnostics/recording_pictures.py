@@ -13,9 +13,9 @@ from docdepth.diagnostics.recording_checks import Inspection
 from docdepth.errors import DocDepthError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.ground_plane import GroundPlane, level_turn
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import inverse, transform_points
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.visualization.pictures import Picture, overlay, round_length
+from docdepth.visualization.pictures import Picture, overlay, round_length, spread_depth
 
 _APART = 2.5  # metres between sweeps that are overlaid near each other
 _REACH = 20.0  # metres around them
@@ -92,14 +92,14 @@ def _on_image(
         return
     image = int(every[len(every) // 2])
     frame = int(np.abs(times - stream.times[image]).argmin())
-    points = recording.sweep(frame).points
-    points = points[usable_points(points)].astype(np.float64)
+    recorded = recording.sweep(frame).points
+    points = recorded[usable_points(recorded)].astype(np.float64)
     late = (int(stream.times[image]) - int(times[frame])) * 1e-9
     moved = ""
     if result.poses is not None and len(inside) and len(times) > 1:
         then = Trajectory(times, result.poses).interpolate(stream.times[image : image + 1])[0]
         T = inverse(then) @ result.poses[frame]
-        points, moved = points @ T[:3, :3].T + T[:3, 3], ", moved to its time by the poses"
+        points, moved = transform_points(T, points), ", moved to its time by the poses"
     picture = points_on_image(
         points, stream.camera, stream.T_camera_lidar, stream.rectified_image(image)
         if stream.images else None,
@@ -125,7 +125,7 @@ def _clouds(
         sweep = result.sweeps[frame] if frame in result.sweeps else recording.sweep(frame)
         T = inverse(poses[0]) @ pose
         points = sweep.points[usable_points(sweep.points)].astype(np.float64)
-        points = (points @ T[:3, :3].T + T[:3, 3]) @ level.T
+        points = transform_points(T, points) @ level.T
         clouds.append(points.astype(np.float32))
     return clouds
 
@@ -233,7 +233,7 @@ def points_on_image(
     image : ndarray of uint8, shape (h, w, 3), optional
         BGR; without it points stand alone.
     """
-    x, y, z = (points @ T_camera_lidar[:3, :3].T + T_camera_lidar[:3, 3]).T
+    x, y, z = transform_points(T_camera_lidar, points).T
     ahead = z > _NEAR
     x, y, z = x[ahead], y[ahead], z[ahead]
     K = camera.K
@@ -243,9 +243,7 @@ def points_on_image(
     rows, columns, z = v[inside].astype(int), u[inside].astype(int), z[inside].astype(np.float32)
     np.minimum.at(depth, (rows, columns), z)
     side = max(round(_POINT * camera.width), 1)
-    depth = cv2.erode(depth, np.ones((2 * side + 1, 2 * side + 1), np.uint8))  # the nearest wins
-    depth[np.isinf(depth) | (depth > 1e30)] = np.nan
-    return overlay(depth, image, 1.0)
+    return overlay(spread_depth(depth, side), image, 1.0)
 
 
 def _with_scale(picture: Picture, scale: float) -> Picture:

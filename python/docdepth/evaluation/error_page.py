@@ -21,6 +21,7 @@ from docdepth.visualization.image_views import photo_of
 from docdepth.visualization.page import (
     FLIP_STYLE,
     Leaf,
+    depth_scale,
     embedded,
     flip_book,
     head,
@@ -32,18 +33,18 @@ from docdepth.visualization.page import (
 )
 from docdepth.visualization.pictures import (
     BACKGROUND,
+    ERROR_LIMIT,
     FALSE_COLOR,
-    FAR,
     FOUND_COLOR,
     GROUND_COLOR,
     MISSED_COLOR,
-    NEAR,
     STATIC_COLOR,
     Picture,
     colorize,
     error_picture,
     labels_from_above,
     labels_in_range_image,
+    spread_depth,
 )
 
 Depth = NDArray[np.float32]
@@ -51,10 +52,8 @@ Depth = NDArray[np.float32]
 WORST = 12
 """Images on a page."""
 
-_LIMIT = 0.1  # relative error whose colour is full
 _NO_DEPTH = (110, 110, 110)
 _BYTES = 160_000  # of a picture
-_TICKS = (3, 5, 10, 20, 40, 80)
 _SOON = 100_000_000  # nanoseconds between a sweep and its photo
 _REACH, _SIDE = 50.0, 1000  # of the view from above: metres to each side, pixels
 
@@ -263,7 +262,7 @@ class LabelPage(ErrorPage):
         def pictures() -> dict[str, Picture]:
             return {
                 "above": _from_above(points, classid, truth),
-                "range": labels_in_range_image(points, classid, truth, row_height=6),
+                "range": labels_in_range_image(points, classid, truth),
             }
 
         self.add(name, float(missed + false), caption, pictures)
@@ -293,22 +292,18 @@ _CLEAR = (
 
 
 def _depth_legends() -> dict[str, str]:
-    shares = np.linspace(-_LIMIT, _LIMIT, 21)[None] + 1
-    colors = error_picture(shares, np.ones_like(shares), _LIMIT)[0]
+    shares = np.linspace(-ERROR_LIMIT, ERROR_LIMIT, 21)[None] + 1
+    colors = error_picture(shares, np.ones_like(shares))[0]
     ticks = [(0.0, "10 % too near"), (0.5, "right"), (1.0, "10 % too far")]
     empty = swatches(
         [([_NO_DEPTH], "no depth was made"), ([(BACKGROUND,) * 3], "nothing to compare")]
     )
-    span = np.log(FAR / NEAR)
-    depth = scale(
-        colorize(np.geomspace(NEAR, FAR, 24)[None], bar=False)[0],
-        [(np.log(tick / NEAR) / span, f"{tick} m") for tick in _TICKS],
-    )
+    depth = depth_scale()
     return {"error": scale(colors, ticks) + empty, "depth": depth, "truth": depth}
 
 
 def _errors(depth: Depth, truth: Depth) -> Picture:
-    picture = error_picture(depth, truth, _LIMIT)
+    picture = error_picture(depth, truth)
     picture[np.isnan(depth) & ~np.isnan(truth)] = _NO_DEPTH
     return picture
 
@@ -328,12 +323,7 @@ def _wrong(depth: Depth, truth: Depth) -> tuple[float, str]:
 
 def _thick(truth: Depth) -> Depth:
     """Sparse depth with each value over 3 x 3 pixels, the nearest on top; dense depth as it is."""
-    known = ~np.isnan(truth)
-    if known.mean() > 0.3:
-        return truth
-    near = np.where(known, truth, np.float32(np.inf))
-    spread = cv2.erode(near, np.ones((3, 3), np.uint8), borderValue=np.inf)
-    return np.where(np.isinf(spread), np.float32(np.nan), spread).astype(np.float32)
+    return truth if (~np.isnan(truth)).mean() > 0.3 else spread_depth(truth, 1)
 
 
 def _at(truth: Depth, depth: Depth) -> Depth:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from docdepth.evaluation.pixels import project
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.se3 import inverse, rotation_exp, rotation_log
+from docdepth.geometry.se3 import inverse, rotation_exp, rotation_log, transform_points
 from docdepth.geometry.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
@@ -87,7 +87,7 @@ def follow(images: Sequence[NDArray[np.uint8]], wanted: NDArray[np.bool_]) -> tu
 
 def predicted(points: Floats, motion: Floats, camera: Camera) -> Floats:
     """Pixels (n, 2) of points after a motion of the camera."""
-    moved = points @ motion[:3, :3].T + motion[:3, 3]
+    moved = transform_points(motion, points)
     depth = np.maximum(moved[:, 2:], _NEAREST)
     result: Floats = (moved @ camera.K.T)[:, :2] / depth
     return result

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 import docdepth._core as _core
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import transform_points
 from docdepth.render.depth_map import NEAR
 
 Depth = NDArray[np.float32]
@@ -41,7 +42,7 @@ def project(
     row : ndarray of int64, shape (h, w)
         Index of the point; -1 = none.
     """
-    moved = points.astype(np.float64) @ T_camera_lidar[:3, :3].T + T_camera_lidar[:3, 3]
+    moved = transform_points(T_camera_lidar, points.astype(np.float64))
     with np.errstate(invalid="ignore"):
         rows = np.flatnonzero(moved[:, 2] > NEAR)
     pixel = np.rint((moved[rows] @ camera.K.T)[:, :2] / moved[rows, 2:]).astype(np.int64)

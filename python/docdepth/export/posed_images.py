@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from docdepth.concurrency import Progress, null_progress
 from docdepth.errors import RunError
-from docdepth.geometry.se3 import inverse, matrix_to_quaternion
+from docdepth.geometry.se3 import inverse, matrix_to_quaternion, transform_points
 from docdepth.io.atomic import write_atomically
 from docdepth.io.ply import write_vertices
 from docdepth.pipeline.run_reader import Run, RunImage
@@ -84,7 +84,7 @@ class Colors:
     def add(self, photo: Photo) -> None:
         """Look at the points in one more photo."""
         T = inverse(photo.image.T_world_camera)
-        x, y, z = (self.points @ T[:3, :3].T + T[:3, 3]).T
+        x, y, z = transform_points(T, self.points).T
         ahead = np.flatnonzero(z > 0.1)
         K = photo.image.K
         u = np.rint(K[0, 0] * x[ahead] / z[ahead] + K[0, 2])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -51,6 +52,14 @@ def are_rotations(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
         orthogonal = np.abs(gram - np.eye(3)).max(axis=(1, 2)) < _ORTHOGONAL
         right_handed = np.linalg.det(np.where(np.isfinite(matrices), matrices, 0)) > 0
     return np.asarray(orthogonal & right_handed)
+
+
+def transform_points(
+    T: NDArray[np.float64], points: NDArray[np.floating[Any]]
+) -> NDArray[np.float64]:
+    """Points (..., 3) of frame b in frame a, by ``T_a_b`` (4, 4)."""
+    moved: NDArray[np.float64] = points @ T[:3, :3].T + T[:3, 3]
+    return moved
 
 
 def inverse(pose: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.geometry.se3 import inverse, nearest_rigid, rotation_exp, se3_log
+from docdepth.geometry.se3 import inverse, nearest_rigid, rotation_exp, se3_log, transform_points
 from docdepth.odometry.deskewing import centred_motion
 from docdepth.odometry.registration import FEWEST_POINTS
 from docdepth.odometry.sweeps import SweepPart, ThinnedSweeps, deskewed_points
@@ -206,7 +206,7 @@ def _registered(target: Place, source: Place, start: NDArray[np.float64]) -> NDA
 
 def _overlap(target: Place, source: Place, pose: NDArray[np.float64]) -> float:
     """Share of what stands in the source, in reach of the target, that the target shows, too."""
-    points = source.standing @ pose[:3, :3].T + pose[:3, 3]
+    points = transform_points(pose, source.standing)
     points = points[np.hypot(points[:, 0], points[:, 1]) < REACH]
     if not len(points):
         return 0.0

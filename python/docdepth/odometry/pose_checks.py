@@ -11,7 +11,7 @@ import docdepth._core as _core
 from docdepth.config import OdometryParameters
 from docdepth.datasets.base import Dataset
 from docdepth.errors import Finding, InputError, OdometryError
-from docdepth.geometry.se3 import check_rigid, inverse
+from docdepth.geometry.se3 import check_rigid, inverse, transform_points
 from docdepth.geometry.trajectory import Trajectory, parts_of
 from docdepth.odometry.clock import even_steps
 from docdepth.odometry.deskewing import centred_motion
@@ -231,14 +231,14 @@ def _shift_to_those_before(
     before = []
     for k, cloud in zip(frames[:-1], clouds, strict=False):
         T = inverse(poses[frame]) @ poses[k]
-        before.append(cloud @ T[:3, :3].T + T[:3, 3])
+        before.append(transform_points(T, cloud))
     target, tree = small_gicp.preprocess_points(np.concatenate(before), _SAMPLING, num_threads=1)
     source, _ = small_gicp.preprocess_points(clouds[-1], _SAMPLING, num_threads=1)
     found = small_gicp.align(target, source, tree, registration_type="GICP", num_threads=1)
     if not found.num_inliers:  # nothing overlaps, so nothing moves either
         return float(np.linalg.norm((inverse(poses[last]) @ poses[frame])[:3, 3]))
     own, T = source.points()[:, :3], found.T_target_source
-    shift = float(np.median(np.linalg.norm(own @ T[:3, :3].T + T[:3, 3] - own, axis=1)))
+    shift = float(np.median(np.linalg.norm(transform_points(T, own) - own, axis=1)))
     return shift if np.isfinite(shift) else None
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import docdepth._core as _core
-from docdepth.geometry.se3 import inverse, nearest_rigid
+from docdepth.geometry.se3 import inverse, nearest_rigid, transform_points
 
 SEEN = 15
 """Sweeps that are looked back at. At a metre a sweep the first of them is 15 m behind."""
@@ -62,7 +62,7 @@ class Traffic:
         rows = np.flatnonzero(_moved_little(points, pose, before))
         for sweep in behind:
             T = inverse(sweep.pose) @ pose
-            there = points[rows] @ T[:3, :3].T + T[:3, 3]
+            there = transform_points(T, points[rows])
             rows = rows[_distance(sweep.points, there) > _SAME_PLACE]
         along[rows] = True
         return along

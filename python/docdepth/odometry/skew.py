@@ -22,6 +22,7 @@ from docdepth.datasets.files import readable
 from docdepth.datasets.point_times import SHARE_BEFORE, Instant
 from docdepth.datasets.views import FrameRange, TurningLidar, View
 from docdepth.errors import Finding, OdometryError
+from docdepth.geometry.se3 import transform_points
 from docdepth.geometry.turn import Turn, possible_turns
 from docdepth.odometry.deskewing import centred_motion
 from docdepth.odometry.first_motion import first_motion
@@ -207,7 +208,7 @@ class _Piece(View):
         for k, (pose, motion) in enumerate(zip(poses, motions, strict=True)):
             points = deskewed_points(sweeps[k], k, motion).astype(np.float64)
             points = points[np.linalg.norm(points, axis=1) < _REACH]
-            worlds.append(points @ pose[:3, :3].T + pose[:3, 3])
+            worlds.append(transform_points(pose, points))
         return Sharpness(_voxels(worlds), _distance_off(worlds))
 
     def _thinned(self, recording: Dataset) -> ThinnedSweeps:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from docdepth.concurrency import Progress, null_progress
 from docdepth.errors import InputError
 from docdepth.geometry.points import DYNAMIC, GROUND, STATIC
+from docdepth.geometry.se3 import transform_points
 from docdepth.io.ply import write_vertices
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
@@ -153,7 +154,7 @@ def gather_map(
         record, classid = run.classified_frame(k)
         kept = (classid < DYNAMIC) & np.isfinite(record.points).all(axis=1)
         points = record.points[kept].astype(np.float64)
-        world.add(points @ pose[:3, :3].T + pose[:3, 3], classid[kept] < STATIC)
+        world.add(transform_points(pose, points), classid[kept] < STATIC)
         found = dynamic_objects(record, int(trajectory.times[k]), pose, tracks)
         for number, of in enumerate(found.instances):
             if not of:
@@ -164,7 +165,7 @@ def gather_map(
                 points += found.displacement[own]
             T = found.T_object_lidar[number]
             cloud = objects.setdefault(of, VoxelCloud(voxel * _OF_OBJECTS, np.zeros(3)))
-            cloud.add(points @ T[:3, :3].T + T[:3, 3], np.zeros(len(points), bool))
+            cloud.add(transform_points(T, points), np.zeros(len(points), bool))
         progress("map", k + 1, len(trajectory))
     points, is_ground, counts = world.cloud()
     return CloudMap(points, np.where(is_ground, GROUND, STATIC).astype(np.uint16), counts), objects

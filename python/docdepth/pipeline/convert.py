@@ -14,7 +14,7 @@ from docdepth.errors import ConfigError, DatasetError
 from docdepth.geometry.ground_plane import level_turn
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.points import DYNAMIC, STATIC
-from docdepth.geometry.se3 import inverse, matrix_to_quaternion
+from docdepth.geometry.se3 import inverse, matrix_to_quaternion, transform_points
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import write_atomically
 from docdepth.io.depth import PNG_SCALE, maps_in, read_depth, write_depth
@@ -255,7 +255,7 @@ def _write_labels(
     elif poses is not None:
         # From the first pose on, since float32 cannot hold the coordinates of a country.
         T = inverse(poses[0]) @ poses[frame]
-        points = (record.points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+        points = transform_points(T, record.points.astype(np.float64)).astype(np.float32)
         x, y, z, w = matrix_to_quaternion(T[:3, :3])
         moves = (classid >= DYNAMIC).astype(np.float32)
         file = folder / "pcd" / f"{frame:06d}.pcd"

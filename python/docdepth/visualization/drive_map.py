@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.geometry.points import DYNAMIC, STATIC, usable_points
+from docdepth.geometry.se3 import transform_points
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
@@ -94,7 +95,7 @@ def drive_map(run: RunFolder) -> DriveMap:
         points = record.points.compress(kept, axis=0)
         above = heights_above_ground(points, classid[kept] < STATIC)
         pose = trajectory.poses[k]
-        place = np.floor(empty.pixels(points @ pose[:3, :3].T + pose[:3, 3])).astype(np.int64)
+        place = np.floor(empty.pixels(transform_points(pose, points))).astype(np.int64)
         inside = ((place >= 0) & (place < (columns, rows))).all(axis=1) & (above <= _TALL)
         np.maximum.at(heights, place[inside] @ (1, columns), above[inside])
     heights = heights.reshape(rows, columns)

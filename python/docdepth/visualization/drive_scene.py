@@ -17,7 +17,7 @@ from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.points import DYNAMIC
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import inverse, transform_points
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import described_maps, maps_in, read_depth
@@ -84,7 +84,7 @@ def sweep_scene(
         seen, tones = sweep.points, point_colors(sweep, classid, color)
         if k != index:  # moving objects of other sweeps would leave trails
             kept, T = classid < DYNAMIC, inverse(T_world_lidar) @ trajectory.poses[k]
-            seen = (seen @ T[:3, :3].T + T[:3, 3]).astype(np.float32)[kept]
+            seen = transform_points(T, seen).astype(np.float32)[kept]
             tones = tones[kept]
         points.append(seen)
         colors.append(tones)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream
 from docdepth.geometry.camera import Camera
+from docdepth.geometry.se3 import transform_points
 from docdepth.geometry.track import Track
 from docdepth.visualization.pictures import TRACK_COLORS, Picture, blended, colors_of_classes
 
@@ -111,7 +112,7 @@ def draw_tracks(
         (track, T_camera_world @ track.pose_at(time)) for track in tracks if track.covers(time)
     ]
     for track, T_camera_object in sorted(there, key=lambda item: -item[1][2, 3]):
-        corners = box_corners(track) @ T_camera_object[:3, :3].T + T_camera_object[:3, 3]
+        corners = transform_points(T_camera_object, box_corners(track))
         color = track_color(track.id)
         lines = [_pixels(_clipped(corners[list(edge)]), camera) for edge in BOX_EDGES]
         lines = [line for line in lines if len(line) and np.abs(line).max() < 1e5]

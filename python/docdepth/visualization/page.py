@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from docdepth.errors import DatasetError
 from docdepth.io.atomic import move_aside, write_atomically
 from docdepth.io.untrusted import read_file
-from docdepth.visualization.pictures import Picture
+from docdepth.visualization.pictures import FAR, NEAR, Picture, colorize
 
-_MARKS = "<!-- docdepth page -->", "<!-- docdepth inspect -->"  # today's, and that of earlier pages
+_MARK = "<!-- docdepth page -->"
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1a1a1a; --paper: #fff; --soft: #595959; --line: #ccc;
@@ -61,6 +61,7 @@ button[aria-pressed=true] { background: var(--accent); color: var(--paper) }
 """
 """Of a page with a :func:`flip_book`."""
 
+_DEPTH_TICKS = (3, 5, 10, 20, 40, 80)  # metres
 _QUALITIES = (90, 80, 65, 45, 25, 10)
 # Thin coloured lines and points smear where colours are sampled more coarsely than brightness.
 _SAMPLING = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
@@ -71,7 +72,7 @@ def head(title: str, style: str = "") -> str:
     return (
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(title)}</title>\n"
         '<meta name=viewport content="width=device-width, initial-scale=1">\n'
-        f"{_MARKS[0]}<style>{STYLE}{style}</style><h1>{escape(title)}</h1>"
+        f"{_MARK}<style>{STYLE}{style}</style><h1>{escape(title)}</h1>"
     )
 
 
@@ -79,10 +80,8 @@ def check_page(path: Path) -> None:
     """Refuse a file that is no page of docdepth."""
     if path.is_dir():
         raise DatasetError(f"{path} is a folder; name a file for the page")
-    if path.is_file():
-        start = read_file(path)[:6000]
-        if not any(mark.encode() in start for mark in _MARKS):
-            raise DatasetError(f"{path} is no page of docdepth; name another file")
+    if path.is_file() and _MARK.encode() not in read_file(path)[:6000]:
+        raise DatasetError(f"{path} is no page of docdepth; name another file")
 
 
 def write_page(path: Path, parts: Iterable[str]) -> None:
@@ -193,6 +192,15 @@ def scale(colors: Picture, ticks: Iterable[tuple[float, str]]) -> str:
     return (
         f'<div class=scale><i style="background:linear-gradient(90deg,{stops})"></i>'
         f"<div>{marks}</div></div>"
+    )
+
+
+def depth_scale() -> str:
+    """The legend of the colours of depth; what is nearer or farther has those of the ends."""
+    ends, span = {NEAR: "\u2264 ", FAR: "\u2265 "}, np.log(FAR / NEAR)
+    colors = colorize(np.geomspace(NEAR, FAR, 24)[None], bar=False)[0]
+    return scale(
+        colors, ((np.log(t / NEAR) / span, f"{ends.get(t, '')}{t} m") for t in _DEPTH_TICKS)
     )
 
 

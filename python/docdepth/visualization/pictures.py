@@ -38,7 +38,11 @@ TOO_NEAR_COLOR = (30, 115, 235)
 TOO_FAR_COLOR = (245, 150, 60)
 
 BACKGROUND = 24
+ERROR_LIMIT = 0.1
+"""Relative error whose colour is full."""
 _TICKS = (3, 5, 10, 20, 40, 80, 160, 320)
+_RESOLUTION_DEG, _ROW_DEG = 0.2, 0.4  # of a picture over azimuth and elevation
+_ROW_HEIGHT = 6  # pixels; rings are farther apart than columns
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _LENGTHS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)  # metres
 
@@ -78,6 +82,14 @@ def colorize(
     colors = np.full((*depth.shape, 3), BACKGROUND, np.uint8)
     cv2.copyTo(_viridis(share), valid.astype(np.uint8), colors)
     return draw_bar(colors, near, far) if bar else colors
+
+
+def spread_depth(depth: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+    """Sparse depth with each value over so many pixels to each side, the nearest on top."""
+    near = np.where(np.isfinite(depth), depth, np.float32(np.inf))
+    square = np.ones((2 * side + 1, 2 * side + 1), np.uint8)
+    spread = cv2.erode(near, square, borderValue=np.inf)
+    return np.where(np.isinf(spread), np.float32(np.nan), spread).astype(np.float32)
 
 
 def overlay(
@@ -123,7 +135,7 @@ def blended(
 
 
 def error_picture(
-    predicted: NDArray[np.floating[Any]], truth: NDArray[np.floating[Any]], limit: float = 0.1
+    predicted: NDArray[np.floating[Any]], truth: NDArray[np.floating[Any]]
 ) -> Picture:
     """Colour the relative error of depth: orange too near, blue too far, white correct.
 
@@ -131,12 +143,10 @@ def error_picture(
     ----------
     predicted, truth : ndarray of float, shape (h, w)
         Metres, NaN = none; pixels without one of them stay dark.
-    limit : float
-        Relative error from which on the colour is saturated.
     """
     relative = (predicted - truth) / truth
     known = np.isfinite(relative)
-    strength = np.clip(np.abs(np.where(known, relative, 0)) / limit, 0, 1)
+    strength = np.clip(np.abs(np.where(known, relative, 0)) / ERROR_LIMIT, 0, 1)
     ends = np.where((relative < 0)[..., None], TOO_NEAR_COLOR, TOO_FAR_COLOR)
     colors = 255 + strength[..., None] * (ends - 255.0)
     picture = np.rint(colors).astype(np.uint8)
@@ -176,37 +186,24 @@ def labels_from_above(
 
 
 def labels_in_range_image(
-    points: NDArray[np.float32],
-    classid: NDArray[np.uint16],
-    truth: NDArray[np.bool_] | None = None,
-    resolution_deg: float = 0.2,
-    row_height: int = 2,
+    points: NDArray[np.float32], classid: NDArray[np.uint16], truth: NDArray[np.bool_]
 ) -> Picture:
     """Draw the classes of a sweep over azimuth (forward in the middle) and elevation.
 
-    Parameters
-    ----------
-    points, classid, truth
-        As in :func:`labels_from_above`.
-    resolution_deg : float
-        Azimuth of a pixel.
-    row_height : int
-        Height of a row in pixels; rings are farther apart than columns.
+    The arguments are those of :func:`labels_from_above`.
     """
     ranges = np.linalg.norm(points, axis=1)
     seen = np.isfinite(ranges) & (ranges > 0)
-    points, classid = points[seen], classid[seen]
-    truth = None if truth is None else truth[seen]
+    points, classid, truth = points[seen], classid[seen], truth[seen]
     elevation = np.degrees(np.arcsin(points[:, 2] / ranges[seen]))
     azimuth = np.degrees(-np.arctan2(points[:, 1], points[:, 0]))
-    columns = np.floor((azimuth + 180) / resolution_deg) % round(360 / resolution_deg)
+    columns = np.floor((azimuth + 180) / _RESOLUTION_DEG) % round(360 / _RESOLUTION_DEG)
     top = float(elevation.max(initial=0.0))
-    spacing = max(2 * resolution_deg, 0.4)
-    rows = np.floor((top - elevation) / spacing)
-    shape = (int(rows.max(initial=0)) + 1, round(360 / resolution_deg), 3)
+    rows = np.floor((top - elevation) / _ROW_DEG)
+    shape = (int(rows.max(initial=0)) + 1, round(360 / _RESOLUTION_DEG), 3)
     picture = np.full(shape, BACKGROUND, np.uint8)
     draw_classes(picture, rows, columns, classid, truth)
-    return np.repeat(picture, row_height, axis=0)
+    return np.repeat(picture, _ROW_HEIGHT, axis=0)
 
 
 def draw_bar(picture: Picture, near: float = NEAR, far: float = FAR) -> Picture:

@@ -23,16 +23,22 @@ from docdepth.io.tracks import tracks_in
 from docdepth.io.untrusted import read_text
 from docdepth.visualization import drive_map
 from docdepth.visualization.image_views import CONFIDENCE_COLORS, DOUBTFUL, SEEN_COLORS
-from docdepth.visualization.page import FLIP_STYLE, flip_book, head, scale, scripts, swatches, table
+from docdepth.visualization.page import (
+    FLIP_STYLE,
+    depth_scale,
+    flip_book,
+    head,
+    scale,
+    scripts,
+    swatches,
+    table,
+)
 from docdepth.visualization.pictures import (
     BACKGROUND,
     DYNAMIC_COLOR,
-    FAR,
     GROUND_COLOR,
-    NEAR,
     STATIC_COLOR,
     TRACK_COLORS,
-    colorize,
 )
 from docdepth.visualization.report_images import CameraPage, camera_pages
 
@@ -60,7 +66,6 @@ _STYLE = (
 )
 _BELOW = " ({:.1%} of those below the horizon)"
 _DENSITIES = 2000  # points of the curve of a camera
-_TICKS = (3, 5, 10, 20, 40, 80)
 _VIEWS = {
     "depth": "depth",  # the page opens with what it is about
     "image": "image",
@@ -216,15 +221,11 @@ def _camera(run: RunFolder, page: CameraPage, trajectory: Trajectory) -> str:
 def _legends() -> dict[str, str]:
     """What stands below the pictures of a view."""
     no_depth = swatches([([(BACKGROUND,) * 3], "no depth")])
-    ends = {NEAR: "\u2264 ", FAR: "\u2265 "}  # what is nearer or farther has the same colour
-    span = np.log(FAR / NEAR)
-    ticks = [(np.log(t / NEAR) / span, f"{ends.get(t, '')}{t} m") for t in _TICKS]
-    depths = colorize(np.geomspace(NEAR, FAR, 24)[None], bar=False)[0]
     middle = (1 + DOUBTFUL) / 2
     marks = [(0.0, f"{DOUBTFUL:g} or less"), (0.5, f"{middle:g}"), (1.0, "1: depth is right")]
     seen = ("no ray near this time", "a ray agrees", "a ray contradicts the depth")
     return {
-        "depth": scale(depths, ticks) + no_depth,
+        "depth": depth_scale() + no_depth,
         "class": swatches([
             ([GROUND_COLOR], "ground"),
             ([STATIC_COLOR], "static"),

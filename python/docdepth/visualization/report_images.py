@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import DamagedFileError
 from docdepth.geometry.camera import below_horizon
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import inverse, transform_points
 from docdepth.geometry.track import Track
 from docdepth.io.depth import described_maps, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
@@ -109,7 +109,7 @@ def _pictures(
         k = trajectory.nearest(time)
         record, classid = run.classified_frame(k)
         T = T_camera_world @ trajectory.poses[k]
-        points = record.points @ T[:3, :3].T + T[:3, 3]
+        points = transform_points(T, record.points)
         pictures["class"] = view_of_points(points, classid, camera, photo)
     draw_tracks(pictures["class"], tracks, time, camera, T_camera_world)
     return pictures if photo is None else pictures | {"image": photo}

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import MissingExtraError, RunError
+from docdepth.geometry.se3 import transform_points
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import DESCRIPTION, described_maps, maps_in, read_depth
@@ -119,7 +120,7 @@ def sweep_from_above(run: RunFolder, trajectory: Trajectory, tracks: Tracks, ind
         return np.rint(across).astype(np.int32)
 
     finite = np.isfinite(record.points).all(axis=1)
-    columns, rows = pixels(record.points[finite] @ pose[:3, :3].T + pose[:3, 3]).T
+    columns, rows = pixels(transform_points(pose, record.points[finite])).T
     picture = np.full((_ABOVE[1], _ABOVE[0], 3), BACKGROUND, np.uint8)
     draw_classes(picture, rows, columns, classid[finite])
     for track in tracks.between(time, time):
@@ -127,7 +128,7 @@ def sweep_from_above(run: RunFolder, trajectory: Trajectory, tracks: Tracks, ind
         past = track.poses[(track.times <= time) & (track.times > time - _PAST)][:, :3, 3]
         cv2.polylines(picture, [pixels(past)], False, color, 1, cv2.LINE_AA)
         T = track.pose_at(time)
-        corners = pixels(box_corners(track)[:4] @ T[:3, :3].T + T[:3, 3])
+        corners = pixels(transform_points(T, box_corners(track)[:4]))
         cv2.polylines(picture, [corners], True, color, 2, cv2.LINE_AA)
         left, right = corners[:2].tolist()
         cv2.line(picture, left, right, (255, 255, 255), 2, cv2.LINE_AA)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import BackendError, InputError, MissingExtraError, RunError
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import inverse, transform_points
 from docdepth.geometry.track import Track
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
@@ -106,7 +106,7 @@ class RunView:
             found = camera_views(self.run, trajectory, self.camera, self.stream, time)
             views = [view for _, view in found]
         T = scene.T_world_lidar
-        points = (scene.points @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+        points = transform_points(T, scene.points).astype(np.float32)
         geometries = scene_geometries(points, scene.colors, trajectory.poses, views, scene.boxes)
         if self.tell:
             self.tell("; ".join(self.legend(geometries)))
@@ -191,7 +191,7 @@ def scene_geometries(
             local = back_project(camera, view.depth)
             picture = colorize(view.depth, bar=False) if view.image is None else view.image
             tones = picture[np.isfinite(view.depth)][:, ::-1] / 255.0
-            geometries[f"depth {k}"] = _cloud(o3d, local @ T[:3, :3].T + T[:3, 3], tones)
+            geometries[f"depth {k}"] = _cloud(o3d, transform_points(T, local), tones)
         if view.image is not None:
             geometries[f"image {k}"] = _picture(o3d, view)
     return geometries
@@ -216,7 +216,7 @@ def _boxes(o3d: Any, boxes: Sequence[tuple[Track, NDArray[np.float64]]]) -> Any:
     for k, (track, T_world_object) in enumerate(boxes):
         nose = np.array([(0.5, 0, 0.5), (1.0, 0, 0.5)]) * track.size
         local = np.concatenate([box_corners(track), nose])
-        points.append(local @ T_world_object[:3, :3].T + T_world_object[:3, 3])
+        points.append(transform_points(T_world_object, local))
         edges.append(np.array([*BOX_EDGES, (8, 9)]) + 10 * k)
         colors += [track_color(track.id)[::-1]] * (len(BOX_EDGES) + 1)
     lines = _lines(o3d, np.concatenate(points), np.concatenate(edges))
@@ -230,7 +230,7 @@ def _picture(o3d: Any, view: CameraView) -> Any:
     corners = np.array([(0, 0), (width, 0), (width, height), (0, height)])
     local = np.column_stack([corners - 0.5, np.ones(4)]) @ np.linalg.inv(view.camera.K).T
     rectangle = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(_FRUSTUM * local @ T[:3, :3].T + T[:3, 3]),
+        o3d.utility.Vector3dVector(transform_points(T, _FRUSTUM * local)),
         o3d.utility.Vector3iVector(np.array([(0, 1, 2), (0, 2, 3)], np.int32)),
     )
     places = np.array([(0, 0), (1, 0), (1, 1), (0, 0), (1, 1), (0, 1)], np.float64)

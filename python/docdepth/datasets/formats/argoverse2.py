@@ -22,7 +22,7 @@ from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.datasets.times import times_of_names
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import inverse, transform_points
 
 _LIDARS = {"up_lidar": (0, 32), "down_lidar": (32, 64)}
 """Lasers of the two LiDARs, which stand on each other."""
@@ -43,7 +43,7 @@ def read_sweep(
     kept = (laser >= lasers[0]) & (laser < lasers[1])
     cloud = cloud_from_fields(rows_of({name: table[name][kept] for name in _COLUMNS}), where)
     T = inverse(T_ego_sensor)
-    points = cloud.points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
+    points = transform_points(T, cloud.points.astype(np.float64))
     return replace(cloud, points=points.astype(np.float32))
 
 

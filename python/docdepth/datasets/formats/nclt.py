@@ -16,7 +16,7 @@ from docdepth.datasets.pose_tables import poses_of_angles, read_table_poses
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import read_settings
 from docdepth.datasets.yaml_cameras import CameraRecordingSettings, yaml_recording
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import inverse, transform_points
 
 _ROWS = packed(x="u2", y="u2", z="u2", intensity="u1", laser="u1")
 _STEP, _LEAST = 0.005, -100.0  # metres of one count, and of none
@@ -31,7 +31,7 @@ def lifted(rows: NDArray[Any], where: str) -> Cloud:
     """The points of a sweep in metres, z up, as seen from the LiDAR."""
     body = np.stack([rows[axis] for axis in "xyz"], axis=1) * _STEP + _LEAST
     T = inverse(_T_BODY_LIDAR)
-    points = body @ T[:3, :3].T + T[:3, 3]
+    points = transform_points(T, body)
     return Cloud(
         points.astype(np.float32),
         rows["intensity"].astype(np.float32),

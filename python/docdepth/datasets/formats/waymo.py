@@ -29,7 +29,7 @@ from docdepth.datasets.point_times import USUAL_PERIOD, median_period
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.errors import CalibrationError, DatasetError
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import inverse, transform_points
 
 log = logging.getLogger(__name__)
 
@@ -75,7 +75,7 @@ class WaymoLidar:
                     f"{self.poses.file} (frame {index}) is of other images; {REMEDY}"
                 )
             points = compensated(points, poses, self.T_world_vehicle[index])
-        own = points.reshape(-1, 3) @ self.T_own_vehicle[:3, :3].T + self.T_own_vehicle[:3, 3]
+        own = transform_points(self.T_own_vehicle, points.reshape(-1, 3))
         times = None
         if self.number == _TOP:
             shares = (np.arange(width) + 0.5) / width - 0.5

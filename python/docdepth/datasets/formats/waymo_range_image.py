@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import inverse, transform_points
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def points_in_vehicle(ranges: NDArray[np.float32], beams: Beams) -> NDArray[np.f
     own = np.stack(
         [level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(inclination)], axis=-1
     )
-    return np.asarray(own @ T[:3, :3].T + T[:3, 3])
+    return transform_points(T, own)
 
 
 def compensated(
@@ -79,4 +79,4 @@ def compensated(
     world = np.stack([x, y, z], axis=-1) + poses[..., 3:]
     world[(pixel_poses == 0).all(axis=-1)] = np.nan
     T = inverse(T_world_vehicle)
-    return np.asarray(world @ T[:3, :3].T + T[:3, 3])
+    return transform_points(T, world)
