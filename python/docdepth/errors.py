@@ -173,26 +173,17 @@ class SeveralProblems(DatasetError, CalibrationError):
         super().__init__(f"{len(self.errors)} problems:{lines}")
 
 
-class Collector:
-    """Goes on after an error, so that all problems of the inputs are told together.
+@contextmanager
+def kept(errors: list[DocDepthError]) -> Iterator[None]:
+    """Add an error that is raised inside to others, unless it is known, and go on.
 
-    Attributes
-    ----------
-    errors : list of DocDepthError
-        What was found so far, each once.
+    So all problems of the inputs are told together.
     """
-
-    def __init__(self) -> None:
-        self.errors: list[DocDepthError] = []
-
-    @contextmanager
-    def collected(self) -> Iterator[None]:
-        """Keep an error that is raised inside, and go on."""
-        try:
-            yield
-        except DocDepthError as error:
-            known = {str(other) for other in self.errors}
-            self.errors += [e for e in single_errors(error) if str(e) not in known]
+    try:
+        yield
+    except DocDepthError as error:
+        known = {str(other) for other in errors}
+        errors += [e for e in single_errors(error) if str(e) not in known]
 
 
 def single_errors(error: DocDepthError) -> list[DocDepthError]:

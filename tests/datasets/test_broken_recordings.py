@@ -16,11 +16,11 @@ import docdepth
 from docdepth.datasets import open_dataset
 from docdepth.errors import (
     CalibrationError,
-    Collector,
     ConfigError,
     DatasetError,
     DocDepthError,
     SeveralProblems,
+    kept,
     raise_together,
 )
 
@@ -67,16 +67,16 @@ def test_all_problems_of_a_raw_drive_are_told_together(tmp_path: Path) -> None:
         assert name in problem.text
 
 
-def test_a_collector_goes_on_after_errors_of_docdepth_alone() -> None:
-    problems = Collector()
+def test_errors_of_docdepth_alone_are_kept() -> None:
+    problems: list[DocDepthError] = []
     for text in ("first", "second", "first"):
-        with problems.collected():
+        with kept(problems):
             raise ConfigError(text)
     with pytest.raises(SeveralProblems, match=r"^2 problems:\n  first\n  second$"):
-        raise_together(problems.errors)
-    with pytest.raises(ZeroDivisionError), problems.collected():
+        raise_together(problems)
+    with pytest.raises(ZeroDivisionError), kept(problems):
         raise ZeroDivisionError
-    raise_together(Collector().errors)
+    raise_together([])
 
 
 def test_many_broken_sweeps_are_one_problem(copy: Path) -> None:

@@ -16,7 +16,7 @@ from docdepth.datasets.kitti_files import agreed_size, image_files
 from docdepth.datasets.recording import Poses, Recording
 from docdepth.datasets.settings import CameraSettings, RecordingSettings, transform
 from docdepth.datasets.times import read_times, times_of_files
-from docdepth.errors import Collector, DatasetError, raise_together
+from docdepth.errors import DatasetError, DocDepthError, kept, raise_together
 
 log = logging.getLogger(__name__)
 
@@ -66,15 +66,15 @@ def yaml_cameras(
     """
     cameras: dict[str, CameraStream] = {}
     uncalibrated: dict[str, ImageStream] = {}
-    problems = Collector()
+    problems: list[DocDepthError] = []
     for name, camera in settings.cameras.items():
-        with problems.collected():
+        with kept(problems):
             found = _camera(folder, name, camera, lidar, asked, f"{settings.file}, {name}")
             if isinstance(found, CameraStream):
                 cameras[name] = found
             else:
                 uncalibrated[name] = found
-    raise_together(problems.errors)
+    raise_together(problems)
     return cameras, uncalibrated
 
 

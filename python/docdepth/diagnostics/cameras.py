@@ -19,7 +19,7 @@ from docdepth.datasets.files import (
 )
 from docdepth.diagnostics.alignment import find_misalignment
 from docdepth.diagnostics.sweeps import broken_frames_found, sample
-from docdepth.errors import Collector, DatasetError, Finding, collected
+from docdepth.errors import DatasetError, DocDepthError, Finding, collected, kept
 from docdepth.geometry.se3 import transform_points
 from docdepth.io.untrusted import open_file, read_text
 
@@ -76,9 +76,10 @@ def _check_images(stream: CameraStream) -> list[Finding]:
     sampled = sample(len(stream.images), _IMAGES) if stream.images else []
     size = stream.camera.width, stream.camera.height
     odd = [k for k, image in enumerate(stream.images) if _is_odd(image, size)]
-    broken, opened = Collector(), sorted({*sampled, *odd[:_IMAGES]})
+    broken: list[DocDepthError] = []
+    opened = sorted({*sampled, *odd[:_IMAGES]})
     for index in opened:
-        with broken.collected():
+        with kept(broken):
             stream.rectified_image(index)
     return found + broken_frames_found(broken, len(opened))
 

@@ -16,7 +16,7 @@ from docdepth.config import Parameters
 from docdepth.datasets import Dataset, Sweep, usable_points
 from docdepth.datasets.files import suggest_skipping
 from docdepth.datasets.sensor_pose import LEAST_IN_TRIANGLES, SensorOrigin, estimate_sensor_origin
-from docdepth.errors import Collector, DatasetError, Finding, OdometryError, collected
+from docdepth.errors import DatasetError, DocDepthError, Finding, OdometryError, collected, kept
 from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.scan_mesh import share_in_triangles
 from docdepth.odometry.pose_checks import check_period
@@ -77,9 +77,10 @@ def check_sweeps(
     found = [*_check_period(recording, has_poses), *_check_sizes(files, sizes)]
     found += _check_repeats(files, sizes)
     opened: dict[int, Sweep] = {}
-    broken, sampled = Collector(), sample(len(recording))
+    broken: list[DocDepthError] = []
+    sampled = sample(len(recording))
     for index in sampled:
-        with broken.collected():
+        with kept(broken):
             sweep = recording.sweep(index)
             place = f"{files[index][0] if files[index] else sweep.name} (frame {index})"
             found += check_sweep(sweep, place)
@@ -126,11 +127,11 @@ def _directions(sweep: Sweep) -> NDArray[np.bool_]:
     return counts > 0.1 * counts.mean()
 
 
-def broken_frames_found(broken: Collector, count: int) -> list[Finding]:
+def broken_frames_found(broken: list[DocDepthError], count: int) -> list[Finding]:
     """Which of so many frames are broken; if most are, none can be left out."""
-    few = suggest_skipping if 2 * len(broken.errors) <= count else nullcontext
+    few = suggest_skipping if 2 * len(broken) <= count else nullcontext
     found: list[Finding] = []
-    for error in broken.errors:
+    for error in broken:
         with collected(found), few():
             raise error
     return found

@@ -30,7 +30,7 @@ from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import Numbers, Strict, read_settings, transform
 from docdepth.datasets.times import times_of_files
 from docdepth.datasets.yaml_cameras import CameraRecordingSettings, yaml_cameras
-from docdepth.errors import Collector, DatasetError, raise_together
+from docdepth.errors import DatasetError, DocDepthError, kept, raise_together
 from docdepth.geometry.points import MOVING_LABEL, STATIC_LABEL
 from docdepth.io.pcd import PcdError, read_pcd_header
 
@@ -138,14 +138,15 @@ class CloudFolder(Recording):
             "lidar": FolderLidar(sweeps=settings.sweeps or ".", times=settings.times)
         }
         lidars = [_lidar(path, one, lidar, settings) for one, lidar in wanted.items()]
-        problems, poses = Collector(), None
+        problems: list[DocDepthError] = []
+        poses = None
         cameras: dict[str, CameraStream] = {}
         uncalibrated: dict[str, ImageStream] = {}
-        with problems.collected():
+        with kept(problems):
             cameras, uncalibrated = yaml_cameras(path, settings, lidars[0].stream, image_size)
-        with problems.collected():
+        with kept(problems):
             poses = _poses(settings, lidars[0])
-        raise_together(problems.errors)
+        raise_together(problems)
         self.frame = settings.frame
         labels, world = path / settings.labels, settings.frame == "world"
         if "labels" in settings.model_fields_set and not labels.is_dir():

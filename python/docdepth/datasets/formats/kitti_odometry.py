@@ -17,7 +17,7 @@ from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.recording import Part, Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.datasets.times import image_times, read_times_of
-from docdepth.errors import CalibrationError, Collector, DatasetError, raise_together
+from docdepth.errors import CalibrationError, DatasetError, DocDepthError, kept, raise_together
 from docdepth.geometry.camera import camera_of
 from docdepth.geometry.se3 import inverse
 from docdepth.io.poses import read_kitti
@@ -82,30 +82,30 @@ class KittiOdometry(Recording):
         image_size: tuple[int, int] | None = None,
         name: str = "kitti_odometry",
     ) -> None:
-        problems = Collector()
+        problems: list[DocDepthError] = []
         sweeps, broken = list[Path](), list[DatasetError]()
         settings, more = KittiSettings(), list[tuple[Path, NDArray[np.float64]]]()
         cameras: dict[str, CameraStream] = {}
         poses, T_camera_lidar = None, np.eye(4)
-        with problems.collected():
+        with kept(problems):
             sweeps, broken = kitti_files.find_sweeps(path / "velodyne")
         times = np.arange(len(sweeps))
-        with problems.collected():
+        with kept(problems):
             times = read_times_of(sweeps, path / "times.txt", "times", REMEDY)
-        with problems.collected():
+        with kept(problems):
             settings = read_settings(path, KittiSettings, taken=_TAKEN)
-        with problems.collected():
+        with kept(problems):
             calibration = Calibration(path / "calib.txt", REMEDY)
-            with problems.collected():
+            with kept(problems):
                 T_camera_lidar = calibration.transform("Tr")
-            with problems.collected():
+            with kept(problems):
                 poses = _poses(path, sweeps, T_camera_lidar)
-            with problems.collected():
+            with kept(problems):
                 cameras = read_cameras(path, sweeps, times, calibration, T_camera_lidar, image_size)
-            with problems.collected():
+            with kept(problems):
                 more = _find_more_lidars(path, calibration, T_camera_lidar, sweeps)
-        if problems.errors:
-            raise_together([*broken, *problems.errors])
+        if problems:
+            raise_together([*broken, *problems])
         lidars = kitti_files.lidars_of(sweeps, times, more)
         super().__init__(name, path, lidars, cameras, poses, settings, labels=path / "labels")
         self.broken = list(broken) or self.broken
@@ -233,18 +233,18 @@ def read_cameras(
     folders = {n: sequence / f"image_{n}" for n in range(4) if f"P{n}" in calibration}
     if not folders:
         raise CalibrationError(f"{calibration.file} has no camera (P0 to P3); {REMEDY}")
-    problems = Collector()
+    problems: list[DocDepthError] = []
     images = {n: kitti_files.image_files(folder) for n, folder in folders.items()}
     sizes: dict[int, tuple[int, int] | None] = dict.fromkeys(folders)
     for n, folder in folders.items():
-        with problems.collected():
+        with kept(problems):
             sizes[n] = _image_size(folder, images[n], image_size)
     # Rectified together, the images of all cameras have one size.
     common = None if image_size else next((size for size in sizes.values() if size), None)
     streams: dict[str, CameraStream] = {}
     guessed: list[str] = []
     for n, folder in folders.items():
-        with problems.collected():
+        with kept(problems):
             P = calibration.matrix(f"P{n}", 3, 4)
             size = sizes[n] or common
             if size is None:
@@ -263,7 +263,7 @@ def read_cameras(
                 images=images[n],
                 distortion=_distortion(folder / "distortion.txt"),
             )
-    raise_together(problems.errors)
+    raise_together(problems)
     if guessed:
         log.warning(
             "%s: image sizes guessed from the principal points (%s); "

@@ -20,7 +20,7 @@ from docdepth.datasets.pose_tables import continue_ends, poses_at, poses_of_angl
 from docdepth.datasets.recording import Part, Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.datasets.times import image_times, read_times_of
-from docdepth.errors import CalibrationError, Collector, DatasetError, raise_together
+from docdepth.errors import CalibrationError, DatasetError, DocDepthError, kept, raise_together
 from docdepth.geometry.camera import camera_of
 from docdepth.geometry.se3 import inverse
 
@@ -60,19 +60,20 @@ class KittiRaw(Recording):
 
     def __init__(self, path: Path, image_size: tuple[int, int] | None = None) -> None:
         self.path = path
-        velodyne, problems = path / "velodyne_points", Collector()
+        velodyne = path / "velodyne_points"
+        problems: list[DocDepthError] = []
         settings, sweeps, broken = RecordingSettings(), list[Path](), list[DatasetError]()
         usual = {"motion_compensated": False}
-        with problems.collected():
+        with kept(problems):
             settings = read_settings(path, RecordingSettings, usual, ("ego_boxes", "masks"))
-        with problems.collected():
+        with kept(problems):
             sweeps, broken = kitti_files.find_sweeps(velodyne / "data")
         times = np.arange(len(sweeps))
-        with problems.collected():
+        with kept(problems):
             times = read_times_of(sweeps, velodyne / "timestamps.txt", "stamps", EXPORT)
         cameras = self._read_cameras(sweeps, times, image_size, problems)
-        if problems.errors:
-            raise_together([*broken, *problems.errors])
+        if problems:
+            raise_together([*broken, *problems])
         super().__init__(
             self.name,
             path,
@@ -100,25 +101,25 @@ class KittiRaw(Recording):
         sweeps: list[Path],
         sweep_times: NDArray[np.int64],
         image_size: tuple[int, int] | None,
-        problems: Collector,
+        problems: list[DocDepthError],
     ) -> dict[str, CameraStream]:
         file = self.path.parent / "calib_cam_to_cam.txt"
         T_camera0_lidar = T_rectified_camera0 = np.eye(4)
-        with problems.collected():
+        with kept(problems):
             lidar_file = Calibration(self.path.parent / "calib_velo_to_cam.txt", _CALIBRATION)
             T_camera0_lidar = lidar_file.transform_of("R", "T")
         try:
             camera_file = Calibration(file, _CALIBRATION)
         except CalibrationError as error:
-            problems.errors.append(error)
+            problems.append(error)
             return {}
-        with problems.collected():
+        with kept(problems):
             T_rectified_camera0 = camera_file.transform_of("R_rect_00")
 
         streams: dict[str, CameraStream] = {}
         numbers = [n for n in ("00", "01", "02", "03") if f"P_rect_{n}" in camera_file]
         for number in numbers:
-            with problems.collected():
+            with kept(problems):
                 P = camera_file.matrix(f"P_rect_{number}", 3, 4)
                 folder = self.path / f"image_{number}"
                 images = kitti_files.image_files(folder / "data")
@@ -135,7 +136,7 @@ class KittiRaw(Recording):
                     names=names,
                     images=images,
                 )
-        with problems.collected():
+        with kept(problems):
             if not numbers:
                 raise CalibrationError(f"{file} has no camera (P_rect_NN); {_CALIBRATION}")
         return streams
