@@ -143,12 +143,7 @@ def parse_settings(assignments: list[str]) -> dict[str, object]:
 
 
 def check_key_frames(kind: str, spacing: float, radius: float) -> None:
-    """Refuse key frames that never vote, or too many of them.
-
-    Raises
-    ------
-    ValueError
-    """
+    """Refuse key frames that never vote, or too many of them."""
     names = f"dynamics.{kind}_radius", f"dynamics.{kind}_spacing"
     if radius < spacing:
         raise ValueError(

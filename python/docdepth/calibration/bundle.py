@@ -255,10 +255,6 @@ def pose_by_sweep(
         Of other boards.
     T_camera_board : ndarray of float64, shape (4, 4)
         Where the camera has it. What few rays leave open, stays as here.
-
-    Returns
-    -------
-    ndarray of float64, shape (4, 4)
     """
     lever = _LEFT_OPEN / np.array((*[0.5 * board.diagonal] * 3, 1.0, 1.0, 1.0))
     best: tuple[float, Floats] = (np.inf, T_camera_board)

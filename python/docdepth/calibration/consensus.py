@@ -129,10 +129,6 @@ def solve_linear(T_camera_board: Floats, T_lidar_board: Floats) -> Floats:
 
     The rotation R brings the normals n_c of the camera onto those of the LiDAR n_l (Eq. 1, by SVD).
     The translation u solves n_l . (R p_c + u) = d_l for the boards' middles p_c (Eq. 2).
-
-    Parameters
-    ----------
-    T_camera_board, T_lidar_board : ndarray of float64, shape (n, 4, 4)
     """
     n_c, n_l = T_camera_board[:, :3, 2], T_lidar_board[:, :3, 2]
     T = np.eye(4)

@@ -83,7 +83,6 @@ def counted_corners(image: NDArray[np.uint8], board: Board, found: bool) -> tupl
 
     Parameters
     ----------
-    image : ndarray of uint8, shape (h, w, 3)
     found : bool
         It was found, but it may be a part of a larger one.
 

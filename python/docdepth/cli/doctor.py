@@ -122,8 +122,6 @@ def examine(package: str, modules: Mapping[str, Sequence[str]]) -> tuple[str, bo
 
     Parameters
     ----------
-    package : str
-        Name of the distribution.
     modules : mapping of str to list of str
         Distributions of each importable module.
     """

@@ -55,10 +55,6 @@ def is_kitti_lidar(sweeps: Iterable[NDArray[np.float32]]) -> bool:
 
     The test takes points straight ahead, which motion compensation does not move, of the first
     sweep with enough of them.
-
-    Parameters
-    ----------
-    sweeps : iterable of ndarray of float32, shape (N, 3)
     """
     for points in sweeps:
         with np.errstate(all="ignore"):  # what is not finite lies nowhere

@@ -58,8 +58,6 @@ class Recording(DatasetRepr):
 
     Parameters
     ----------
-    name : str
-        Of the format.
     poses : ndarray of float64, shape (n, 4, 4), or callable, optional
         ``T_world_lidar`` of each sweep, or what reads them; NaN where it is not known.
     settings : RecordingSettings

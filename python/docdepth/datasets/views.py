@@ -28,13 +28,7 @@ _Stream = TypeVar("_Stream", CameraStream, ImageStream)
 
 
 class View(DatasetRepr):
-    """A recording seen in another way: what a subclass does not change is as it was.
-
-    Attributes
-    ----------
-    indices : sequence of int
-        Of its sweeps in the whole recording.
-    """
+    """A recording seen in another way: what a subclass does not change is as it was."""
 
     def __init__(self, whole: Dataset) -> None:
         self.whole = whole
@@ -219,13 +213,7 @@ def in_boxes(points: NDArray[np.float32], boxes: Sequence[ArrayLike]) -> NDArray
 
 
 class WithoutEgo(View):
-    """A recording without what its LiDAR sees of its own vehicle.
-
-    Parameters
-    ----------
-    boxes : sequence of array_like
-        As for :func:`without_ego`.
-    """
+    """A recording without what its LiDAR sees of its own vehicle."""
 
     def __init__(self, whole: Dataset, boxes: Sequence[ArrayLike]) -> None:
         super().__init__(whole)

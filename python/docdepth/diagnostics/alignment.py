@@ -51,8 +51,6 @@ def find_misalignment(
 
     Parameters
     ----------
-    stream : CameraStream
-        With images.
     sweeps : mapping of int to Sweep, optional
         Those that were read already, by index.
 

@@ -217,12 +217,6 @@ def edges_of_images(
         Images that have a depth map, by time.
     depth : callable
         Depth map of an image by its index, float32 of shape (h, w) [m].
-    trajectory : Trajectory
-        LiDAR poses.
-    tracks : Tracks
-        Moving objects.
-    most : int
-        Images that are compared.
     """
     times = stream.times[list(indices)]
     poses = trajectory.interpolate(times)

@@ -197,10 +197,6 @@ _CLOSE = 0.5  # metres; nearer points are of the LiDAR itself
 def row_shares(points: NDArray[np.float32]) -> dict[str, float]:
     """Shares of the rows of a sweep: not finite, at the origin, close to it, in one other place.
 
-    Parameters
-    ----------
-    points : ndarray of float32, shape (N, 3)
-
     Returns
     -------
     dict

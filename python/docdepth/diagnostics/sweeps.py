@@ -61,8 +61,6 @@ def check_sweeps(
 
     Parameters
     ----------
-    files : list of list of Path
-        Of each sweep.
     has_poses : bool
         Given poses need no odometry, so sweeps may be taken seldom: by a scanner that is carried
         from place to place.

@@ -31,11 +31,6 @@ def write_colored_map(run: Run, output: Path, progress: Progress = null_progress
 
     A point is the mean of the static points of a voxel, in the world of the run. Its colour is the
     median of the photos whose depth map shows it; grey where none does.
-
-    Returns
-    -------
-    int
-        Points.
     """
     static = run.static_map()
     colors = Colors(static.points)

@@ -34,11 +34,6 @@ def write_mcap(run: Run, output: Path, progress: Progress = null_progress) -> in
     - ``/CAMERA/image/compressed``: photos without lens distortion, as PNG;
     - ``/CAMERA/depth``: float32 metres along the optical axis, NaN without depth;
     - ``/CAMERA/camera_info``.
-
-    Returns
-    -------
-    int
-        Images.
     """
     extra("rosbags", "MCAP needs rosbags", "bags")
     from rosbags.rosbag2 import StoragePlugin, Writer

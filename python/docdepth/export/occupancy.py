@@ -21,11 +21,6 @@ def write_occupancy(run: Run, output: Path, progress: Progress = null_progress) 
 
     The arrays are those of :class:`~docdepth.render.occupancy.Occupancy`, the masks as uint8. The
     JSON file has the classes, the grid, and the time and ``T_world_grid`` of each sweep.
-
-    Returns
-    -------
-    int
-        Sweeps.
     """
     frames = {}
     for k in range(len(run.sweeps)):

@@ -69,11 +69,6 @@ class Colors:
     """Colours of points in the world: the median of the photos whose depth map shows them.
 
     Of many photos the last nine count, which are the nearest ones where the camera looks ahead.
-
-    Parameters
-    ----------
-    points : ndarray of float64, shape (n, 3)
-        Metres.
     """
 
     def __init__(self, points: NDArray[np.float64]) -> None:
@@ -120,11 +115,6 @@ def write_nerfstudio(run: Run, output: Path, progress: Progress = null_progress)
     ``transform_matrix`` is ``T_world_camera`` with OpenGL's axes, in the world of the run. Depth is
     float32 millimetres along the optical axis, 0 = none: 16 bits would end at 65 m. Masks are black
     where something moves.
-
-    Returns
-    -------
-    int
-        Images.
     """
     frames, colors = [], Colors(run.static_map().points)
     for photo in photos(run, progress):
@@ -172,11 +162,6 @@ def write_colmap(run: Run, output: Path, progress: Progress = null_progress) -> 
     Images are without lens distortion, so cameras are pinholes. Points are those of the static map,
     in the world of the run, coloured by the photos; they have no tracks. Masks are black where
     something moves.
-
-    Returns
-    -------
-    int
-        Images.
     """
     cameras: dict[str, int] = {}
     camera_rows, image_rows = [], []

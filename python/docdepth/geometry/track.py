@@ -148,12 +148,7 @@ class Track:
 
 
 class Tracks(Mapping[int, Track]):
-    """The tracks of a drive by id. Those of a time are found without looking at the others.
-
-    Attributes
-    ----------
-    ids : ndarray of uint16, shape (n,)
-    """
+    """The tracks of a drive by id. Those of a time are found without looking at the others."""
 
     def __init__(self, tracks: Iterable[Track] | Tracks = ()) -> None:
         every = tracks.values() if isinstance(tracks, Tracks) else tracks

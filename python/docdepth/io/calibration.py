@@ -57,15 +57,10 @@ def write_calibration(
 
     Parameters
     ----------
-    camera : Camera
-        The rectified camera.
-    T_camera_lidar : ndarray of float64, shape (4, 4)
     distortion : sequence of float
         Of the images before they are rectified, in OpenCV's order.
     model : str
         Of the distortion; "fisheye" is that of ``cv2.fisheye``.
-    write_file : callable
-        Writes each file.
     more : dict, optional
         Further entries of the first file, ready for JSON.
     name : str

@@ -119,17 +119,7 @@ def write_depth(
 
 
 def check_format(format: str, scale: float, max_depth: float) -> None:
-    """Check before rendering whether depth maps can be written.
-
-    Parameters
-    ----------
-    format : str
-        One of :data:`FORMATS`.
-    scale : float
-        Steps of a PNG a metre.
-    max_depth : float
-        Largest depth that will be rendered, metres.
-    """
+    """Check before rendering whether depth maps can be written."""
     if format == "png" and max_depth > png_range(scale):
         most = 2.0 ** np.floor(np.log2(_PNG_MOST / max_depth))
         remedy = f"take `scale={most:g}`, "
@@ -186,13 +176,7 @@ def read_depth(path: Path | str, scale: float | None = None) -> NDArray[np.float
 
 
 def maps_in(folder: Path) -> dict[str, Path]:
-    """Depth maps of a folder by name; if a map has several formats, the most exact one.
-
-    Returns
-    -------
-    dict of str to Path
-        In order of names.
-    """
+    """Depth maps of a folder by name; if a map has several formats, the most exact one."""
     found: dict[str, Path] = {}
     for suffix in _READ:
         found |= {path.stem: path for path in folder.glob(f"*{suffix}")}
@@ -200,13 +184,7 @@ def maps_in(folder: Path) -> dict[str, Path]:
 
 
 def described_maps(folder: Path) -> dict[str, tuple[int, float]]:
-    """Time [ns] and coverage of each depth map of a folder of a run, by name.
-
-    Parameters
-    ----------
-    folder : Path
-        With :data:`DESCRIPTION`; without it no map is described.
-    """
+    """Time [ns] and coverage of each depth map of a folder of a run, by name."""
     path = folder / DESCRIPTION
     try:
         maps = parse_json(read_text(path))["maps"]
@@ -254,17 +232,7 @@ def _steps(depth: NDArray[np.float32], scale: float) -> NDArray[np.uint16]:
 
 
 def as_stored(depth: NDArray[np.float32], format: str, scale: float) -> NDArray[np.float32]:
-    """A depth map as it is read again when it was written in a format.
-
-    Parameters
-    ----------
-    depth : ndarray of float32, shape (h, w)
-        Metres, NaN = none.
-    format : str
-        One of :data:`FORMATS`.
-    scale : float
-        Steps of a PNG a metre.
-    """
+    """A depth map as it is read again when it was written in a format."""
     if format == "png":
         return _metres(_steps(depth, scale), scale)
     return depth.astype(np.float16).astype(np.float32) if format == "exr-half" else depth

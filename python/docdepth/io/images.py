@@ -28,13 +28,7 @@ _LEVEL = 1  # of libdeflate; 3 takes half as long again for 4 % less
 
 
 def decode_image(content: bytes | NDArray[np.uint8], flags: int) -> NDArray[Any] | None:
-    """The image in the content of a file; None if it is not one that OpenCV reads.
-
-    Parameters
-    ----------
-    flags : int
-        As for ``cv2.imdecode``.
-    """
+    """The image in the content of a file; None if it is not one that OpenCV reads."""
     data = np.frombuffer(content, np.uint8)
     if not len(data) or _claims_too_much(data):
         return None
@@ -113,10 +107,6 @@ def encode_png(pixels: NDArray[np.uint16]) -> bytes:
     OpenCV takes most of its time in zlib, whatever its settings. So the filtered rows are packed by
     libdeflate here, in the format of zlib. ISA-L is twice as fast, but was seen to pack the same
     pixels into other bytes within one process.
-
-    Parameters
-    ----------
-    pixels : ndarray of uint16, shape (h, w)
     """
     height, width = pixels.shape
     samples = pixels.astype(">u2").view(np.uint8)

@@ -154,11 +154,6 @@ def write_labels(path: Path, frame: LidarFrame, write_file: WriteFile = write_at
     """Write classes and instances of a frame as SemanticKITTI's labels, for all rows of the sweep.
 
     9 is static or ground, 251 dynamic, 1 a row that is no usable return.
-
-    Parameters
-    ----------
-    frame : LidarFrame
-        With classes.
     """
     assert frame.classid is not None
     rows = np.full(frame.input_points, OUTLIER_LABEL, np.uint32)

@@ -150,13 +150,7 @@ def write_pcd(
 
 
 def read_pcd_header(path: Path) -> PcdHeader:
-    """The header alone.
-
-    Raises
-    ------
-    PcdError
-        The file is no PCD file.
-    """
+    """The header alone."""
     with open_file(path) as stream:
         return _parse_header(stream.read(1 << 14))
 

@@ -85,10 +85,6 @@ def write_vertices(
     ----------
     rows : structured ndarray, shape (n,)
         A field for each property, of 1 to 4 byte integers or 4 or 8 byte floats.
-    comments : list of str
-        Lines for the header.
-    write_file : callable
-        Writes the content.
     """
     rows = np.ascontiguousarray(rows.astype(rows.dtype.newbyteorder("<"), copy=False))
     fields = [(name, rows.dtype[name].str[1:]) for name in rows.dtype.names or ()]

@@ -119,13 +119,7 @@ class RecordedFolder:
 
     @contextmanager
     def lock(self, what: str) -> Iterator[None]:
-        """Keep other processes from working in the folder.
-
-        Parameters
-        ----------
-        what : str
-            What is done, for the message that others get.
-        """
+        """Keep other processes from working in the folder."""
         with ExitStack() as stack:
             if not self._lock_depth:
                 stack.enter_context(locked(self.state_dir / "lock", self.path, what))
@@ -183,8 +177,6 @@ class RecordedFolder:
 
         Parameters
         ----------
-        write : callable
-            Writes the content.
         key : dict
             What the content is made of: a hash for each stage.
         sync : bool

@@ -110,8 +110,6 @@ class RunFolder(RecordedFolder):
             these.
         force : bool
             Continue a run with other inputs or parameters, too.
-        derived : DerivedInputs, optional
-            What was found in the inputs.
         """
         if self.path.exists() and not self.path.is_dir():
             raise RunError(f"{self.path} is a file", "name a folder by `output`")
@@ -301,13 +299,7 @@ class RunFolder(RecordedFolder):
         return read_calibration(self.calibration_folder(name), remedy)
 
     def depth_folder(self, camera: str | None = None) -> str:
-        """The folder of a camera inside ``depth/``; empty for the first camera of a run.
-
-        Parameters
-        ----------
-        camera : str, optional
-            Its name; needed if the run has several.
-        """
+        """The folder of a camera inside ``depth/``; empty for the first camera of a run."""
         folders = {name: entry.folder for name, entry in self.cameras.items()}
         if not folders and self.manifest.inputs is not None:
             raise RunError(

@@ -90,13 +90,7 @@ def _row(track: Track, k: int, frame: int) -> list[object]:
 
 
 def cut_tracks(path: Path, times: NDArray[np.int64]) -> bytes:
-    """The rows of a file of tracks at some times, numbered anew; all else to the letter.
-
-    Parameters
-    ----------
-    times : ndarray of int64, shape (n,)
-        Stamps of the sweeps that are kept [ns].
-    """
+    """The rows of a file of tracks at some times, numbered anew; all else to the letter."""
     read_tracks(path)
     frames = {str(time): str(frame) for frame, time in enumerate(times.tolist())}
     text = io.StringIO()

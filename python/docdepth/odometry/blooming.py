@@ -32,10 +32,6 @@ def blooming_points(
         The full scale is 1, 255 or 65535, the smallest that holds all values.
     blooming_deg : float
         How far beyond its outline a reflector is reported [deg].
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
     """
     from small_gicp import KdTree
 

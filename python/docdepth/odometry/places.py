@@ -80,13 +80,7 @@ class Place:
 
 
 class Places:
-    """Places along a drive whose poses are known.
-
-    Parameters
-    ----------
-    poses : ndarray of float64, shape (n, 4, 4)
-    arc_length : ndarray of float64, shape (n,)
-    """
+    """Places along a drive whose poses are known."""
 
     def __init__(
         self,

@@ -39,12 +39,7 @@ _JUMP = 1.0  # metres by which the step from sweep to sweep changes; a vehicle c
 
 
 def check_given_poses(dataset: Dataset, poses: ArrayLike) -> NDArray[np.float64]:
-    """Check the poses that a user brings for a drive; see :func:`register_drive`.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 4, 4)
-    """
+    """Check the poses that a user brings for a drive; see :func:`register_drive`."""
     given = np.ascontiguousarray(poses, dtype=np.float64)
     if given.ndim != 3 or given.shape[1:] != (4, 4):
         raise OdometryError(f"poses must be (n, 4, 4) matrices T_world_lidar, got {given.shape}")

@@ -49,10 +49,6 @@ def optimized(poses: NDArray[np.float64], closures: Sequence[Edge]) -> NDArray[n
     ----------
     poses : ndarray of float64, shape (n, 4, 4)
         Nodes along a path, of odometry. The first stays.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 4, 4)
     """
     from scipy.sparse import coo_array
     from scipy.sparse.linalg import splu
@@ -146,10 +142,6 @@ def between_nodes(
         Sweeps that were moved, ascending, the first of the drive among them.
     moved : ndarray of float64, shape (m, 4, 4)
     arc_length : ndarray of float64, shape (n,)
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 4, 4)
     """
     result = moved[-1] @ inverse(poses[nodes[-1]]) @ poses  # those behind the last node
     for k, (a, b) in enumerate(pairwise(nodes.tolist())):

@@ -65,13 +65,6 @@ def noise_along(poses: NDArray[np.float64], times: NDArray[np.int64]) -> float:
 
     A vehicle heaves, sways and turns, but along its way it drives evenly: third differences of the
     path are errors, but for those that a vehicle's jerk explains.
-
-    Parameters
-    ----------
-    poses : ndarray of float64, shape (n, 4, 4)
-        ``T_world_lidar``.
-    times : ndarray of int64, shape (n,)
-        Stamps [ns].
     """
     if len(poses) < 4:
         return 0.0

@@ -200,7 +200,6 @@ class Registration:
 
         Parameters
         ----------
-        points : ndarray of float32, shape (N, 3)
         guess : ndarray of float64, shape (4, 4)
             Where it was taken, about.
         """

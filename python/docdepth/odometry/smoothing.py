@@ -64,7 +64,6 @@ def first_state(pose: NDArray[np.float64], velocity: NDArray[np.float64] | None)
 
     Parameters
     ----------
-    pose : ndarray of float64, shape (4, 4)
     velocity : ndarray of float64, shape (3,), optional
         From the first motion, in the world [m/s]. None if it is not known.
     """

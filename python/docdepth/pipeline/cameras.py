@@ -62,8 +62,6 @@ def run_cameras(
     ----------
     recording : Dataset, optional
         None where it is away: only virtual cameras can be opened.
-    names : sequence of str, optional
-        Only these.
     """
     found = []
     for name, entry in run.cameras.items():

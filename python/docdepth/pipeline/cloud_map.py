@@ -125,15 +125,8 @@ def write_map(run: RunFolder, voxel: float = VOXEL, progress: Progress = null_pr
 
     Parameters
     ----------
-    run : RunFolder
-        With classified frames.
     voxel : float
         Side of a voxel of the map [m]; those of objects are half as large.
-
-    Returns
-    -------
-    Path
-        Of the map.
     """
     require(run, "classify")
     world, objects = gather_map(run, voxel, progress)

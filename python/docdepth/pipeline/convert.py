@@ -40,15 +40,8 @@ def write_release(run: RunFolder, output: Path, progress: Progress = null_progre
 
     Parameters
     ----------
-    run : RunFolder
-        With depth maps that are up to date.
     output : Path
         Folder of the release; the drive is a folder in it and must not be there.
-
-    Returns
-    -------
-    int
-        Depth maps.
     """
     name = (run.recording_path or run.path).absolute().name
     drive = output / name
@@ -96,11 +89,6 @@ def convert(
         Format of the recording; guessed if absent.
     camera : str, optional
         Poses of this camera, as KITTI has them, in place of those of the LiDAR.
-
-    Returns
-    -------
-    int
-        Poses, sweeps or depth maps.
     """
     if to in DEPTH_FORMATS:
         if camera is not None:

@@ -147,13 +147,7 @@ def memory_of_run(
     parameters: Parameters,
     jobs: int = 1,
 ) -> int:
-    """Peak memory of a run by estimate [bytes].
-
-    Parameters
-    ----------
-    points : int
-        Of the largest sweep.
-    """
+    """Peak memory of a run by estimate [bytes]."""
     sizes = [stream.camera.width * stream.camera.height for stream in cameras]
     votes = _VOTES + _VOTES_PER_POINT * points
     merged = _SWEEPS_A_METRE * (parameters.ground.chunk_length + 2 * CHUNK_OVERLAP)
@@ -177,11 +171,6 @@ def within_memory(
     """Parameters with chunks of ground so short that a run keeps to a budget of memory.
 
     Nothing else changes: labels do not depend on where chunks begin.
-
-    Parameters
-    ----------
-    budget : str
-        ``4G``, ``800M``, or a number of bytes.
     """
     count, memory = len(recording), bytes_of(budget)
     some = np.linspace(0, count - 1, min(count, _SAMPLES)).astype(int)
@@ -247,15 +236,7 @@ def estimate(
     parameters: Parameters,
     jobs: int = 1,
 ) -> Estimate:
-    """Estimate memory and disk.
-
-    Parameters
-    ----------
-    points : ndarray of int64, shape (n,)
-        Of some sweeps.
-    sweeps : int
-        All.
-    """
+    """Estimate memory and disk."""
     output = parameters.output
     pixel = sum(_FORMAT_BYTES.get(format, 4.0) for format in output.format) + _PICTURE_BYTES
     pixel += _LAYER_BYTES * len(output.layers)

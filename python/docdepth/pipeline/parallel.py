@@ -83,8 +83,6 @@ class WorkerPool:
     threads : int
         Of this process, or of all processes of this machine together; 0 for all cores. Of each
         worker of a cluster; 0 for one.
-    jobs : int
-        Processes of this machine; 1 for this one alone.
     scheduler : str, optional
         Address of a Dask scheduler, whose workers do the work.
 
@@ -312,10 +310,6 @@ def _hear_from(address: str) -> None:
     """Refuse an address at which Dask would wait for ever, or take memory for any greeting.
 
     A scheduler speaks first: eight bytes tell how many follow.
-
-    Raises
-    ------
-    OSError
     """
     place = re.fullmatch(r"(?:tcp://)?\[?([^\]/]+?)\]?:(\d+)", address)
     if place is None:  # of another protocol, or no address: Dask says which

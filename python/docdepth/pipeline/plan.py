@@ -348,13 +348,7 @@ def stages_of(run: RunFolder) -> list[Stage]:
 
 
 def states(run: RunFolder, *, verify: bool = False) -> list[StageState]:
-    """The state of each stage of a run.
-
-    Parameters
-    ----------
-    verify : bool
-        Compare the content of each file with its checksum, not only size and time.
-    """
+    """The state of each stage of a run."""
     return [stage.state(verify) for stage in stages_of(run)]
 
 

@@ -164,10 +164,6 @@ def run_render(
         With classified frames.
     streams : CameraStream or sequence of CameraStream
         The cameras. The run's first camera has ``depth/`` itself, any other a folder in it.
-    renderer : Renderer, optional
-        What draws; the CPU if absent.
-    workers : WorkerPool, optional
-        Who does the work; this process with its threads if absent.
     stages : dict of str to Stage, optional
         :func:`~.plan.render_stage` of the cameras, by name.
 
@@ -209,11 +205,6 @@ def report(run: RunFolder) -> Path:
     ----------
     run : RunFolder
         With classified frames. Where its recording is away, the report has no camera images.
-
-    Returns
-    -------
-    Path
-        Of the page.
     """
     require(run, "classify")
     for name in run.cameras:

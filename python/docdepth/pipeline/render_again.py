@@ -52,8 +52,6 @@ def render_again(
         Name and description of a virtual camera, from :func:`virtual_camera`.
     labels : Path, optional
         Folder of labels of another method, which replace the classes of the run.
-    threads, renderer, progress
-        As for :func:`run`.
     """
     folder = RunFolder.open(Path(output))
     require(folder, "classify" if labels is None else "odometry")

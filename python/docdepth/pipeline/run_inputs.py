@@ -202,11 +202,6 @@ def find_up(recording: Dataset, begun: DerivedInputs | None = None) -> Point | N
     ----------
     begun : DerivedInputs, optional
         Of a run that goes on: what was found when it began holds for good.
-
-    Returns
-    -------
-    (float, float, float), or None
-        Unit vector; None if z is up, or if it is not known.
     """
     told = getattr(as_recorded(recording), "up", None)
     if told is not None:

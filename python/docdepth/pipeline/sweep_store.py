@@ -71,13 +71,6 @@ class TrackStore(Sequence[TrackedSweep]):
 
     Each sweep has its file: a drive may be too long to hold all of it. They stay when the stage is
     done, and with them single frames are classified again.
-
-    Parameters
-    ----------
-    key : dict
-        What classes are made of.
-    count : int
-        Sweeps of the drive.
     """
 
     def __init__(self, run: RunFolder, key: dict[str, str], count: int) -> None:
@@ -135,13 +128,6 @@ class TrackStore(Sequence[TrackedSweep]):
 
 class FrameStore:
     """The frames of a run as a :class:`docdepth.dynamics.sweep_classifier.SweepStore`.
-
-    Parameters
-    ----------
-    key : dict
-        What classes are made of.
-    sweeps : int
-        Of the drive.
 
     Attributes
     ----------

@@ -32,8 +32,6 @@ def cast_beams(world: World, rays: Rays, width: float, limit: float) -> Hits:
 
     Parameters
     ----------
-    rays : Rays
-        The middle of each beam.
     width : float
         Full angle of a beam [rad].
     limit : float

@@ -132,8 +132,6 @@ def scene(name: str, seed: int = 0) -> Scene:
 
     Parameters
     ----------
-    name : str
-        One of :data:`SCENES`.
     seed : int
         Varies bends, slopes, houses, plants and vehicles.
     """

@@ -60,12 +60,6 @@ def tune(
         Of each run; all of one kind.
     out : Path
         Folder of the results: ``tune.csv``, and a JSON file for each run and trial.
-    jobs : int
-        Number of trials that run at the same time.
-    threads : int
-        Threads per trial; 0 uses all cores.
-    progress : callable, optional
-        Called with ``"trials"``, the trials done and their number.
 
     Returns
     -------

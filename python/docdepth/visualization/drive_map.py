@@ -73,11 +73,6 @@ def drive_map(run: RunFolder) -> DriveMap:
     """Draw the static points of a run from above.
 
     Sweeps are read one at a time, and no more than 150 however long the drive is.
-
-    Parameters
-    ----------
-    run : RunFolder
-        With classified frames.
     """
     trajectory = run.trajectory()
     heading = _main_direction(trajectory.poses)
@@ -124,7 +119,6 @@ def heights_above_ground(
     ----------
     points : ndarray of float32, shape (N, 3)
         LiDAR frame [m].
-    is_ground : ndarray of bool, shape (N,)
 
     Returns
     -------

@@ -70,7 +70,6 @@ def view_of_points(
     ----------
     points : ndarray, shape (N, 3)
         Camera frame [m].
-    classid : ndarray of uint16, shape (N,)
     image : ndarray of uint8, shape (h, w, 3), optional
         BGR.
     """
@@ -99,15 +98,7 @@ def draw_tracks(
     camera: Camera,
     T_camera_world: NDArray[np.float64],
 ) -> None:
-    """Draw the boxes of the tracks at a time into a picture, far ones first, with their ids.
-
-    Parameters
-    ----------
-    picture : ndarray of uint8, shape (h, w, 3)
-    time : int
-        Of the image [ns].
-    T_camera_world : ndarray of float64, shape (4, 4)
-    """
+    """Draw the boxes of the tracks at a time into a picture, far ones first, with their ids."""
     there = [
         (track, T_camera_world @ track.pose_at(time)) for track in tracks if track.covers(time)
     ]

@@ -109,13 +109,7 @@ def _group(group: Any) -> str:
 
 
 def inspection_lines(figures: Figures) -> Iterator[str]:
-    """Lines that tell the figures of a recording.
-
-    Parameters
-    ----------
-    figures : dict
-        Groups of figures by name, of :class:`docdepth.diagnostics.recording_checks.Inspection`.
-    """
+    """Lines that tell the figures of a recording."""
     recording = figures["recording"]
     yield f"{recording['path']}, read as {recording['format']}"
     yield from _entry("sweeps", _sweeps(figures["sweeps"], figures.get("point_times")))

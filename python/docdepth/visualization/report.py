@@ -92,11 +92,6 @@ def write_report(run: RunFolder, streams: Mapping[str, CameraStream]) -> Path:
         With classified frames; cameras without depth maps are left out.
     streams : mapping of str to CameraStream
         Cameras by name; without one its images are left out.
-
-    Returns
-    -------
-    Path
-        Of the page.
     """
     trajectory = run.trajectory()
     tracks = list(tracks_in(run.path).values())
@@ -130,15 +125,8 @@ def keep_held_out(run: RunFolder, camera: str | None, errors: Mapping[str, Any])
 
     Parameters
     ----------
-    camera : str, optional
-        Needed if the run has several.
     errors : mapping
         A table: ``title``, ``header``, ``rows`` and ``note``, all texts.
-
-    Returns
-    -------
-    bool
-        Whether they were kept.
     """
     folder = run.depth_folder(camera)
     made_of = run.stage(f"render {run.camera_in(folder)}").key

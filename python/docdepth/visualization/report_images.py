@@ -48,13 +48,7 @@ class CameraPage(NamedTuple):
 def camera_pages(
     run: RunFolder, streams: Mapping[str, CameraStream], tracks: Sequence[Track]
 ) -> Iterator[CameraPage]:
-    """The cameras of a run that have depth maps, each with its images.
-
-    Parameters
-    ----------
-    streams : mapping of str to CameraStream
-        Cameras whose images can be read.
-    """
+    """The cameras of a run that have depth maps, each with its images."""
     start = int(run.trajectory().times[0])
     count, most = budget(len(run.cameras))
     for camera, entry in run.cameras.items():

@@ -44,14 +44,8 @@ def write_rerun(
 
     Parameters
     ----------
-    run : RunFolder
-        With classified frames.
-    camera : str, optional
-        Whose depth maps; needed if the run has several.
     color : {"class", "votes", "instance"}
         What the colours of points say.
-    stream : CameraStream, optional
-        The camera; its images are logged.
     """
     rerun = _rerun_module()
     part = path.with_name(f".{path.stem}.part{path.suffix}")

@@ -52,11 +52,6 @@ def write_video(
         Images per second; the recorded rate if absent.
     mp4 : bool
         Needs ``docdepth[mp4]``.
-
-    Returns
-    -------
-    Path
-        Of the video.
     """
     depths = run.path / "depth" / folder
     maps, known = maps_in(depths), described_maps(depths)
@@ -92,15 +87,6 @@ def write_video_from_above(
     The LiDAR stays in the middle and the world's x points to the right. Ground is blue, what stands
     grey, what moves orange. Boxes have the colours and numbers of their tracks; lines tell where
     they were in the last seconds.
-
-    Parameters
-    ----------
-    run : RunFolder
-        With classified frames.
-    fps : float, optional
-        Sweeps per second; the recorded rate if absent.
-    mp4 : bool
-        As of :func:`write_video`.
     """
     trajectory, tracks = run.trajectory(), tracks_in(run.path)
     frames = (sweep_from_above(run, trajectory, tracks, k) for k in range(len(trajectory)))

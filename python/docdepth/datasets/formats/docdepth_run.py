@@ -20,13 +20,7 @@ from docdepth.io.untrusted import parse_json, read_file
 
 
 class RunDataset(DatasetRepr):
-    """Deskewed sweeps and poses of a run folder, of docdepth or of the official release.
-
-    Parameters
-    ----------
-    path : Path
-        The run folder.
-    """
+    """Deskewed sweeps and poses of a run folder, of docdepth or of the official release."""
 
     name = "run"
 

@@ -67,8 +67,6 @@ class KittiOdometry(Recording):
 
     Parameters
     ----------
-    path : Path
-        The sequence.
     image_size : (int, int), optional
         Width and height in pixels, if there are neither images nor ``size.txt``. Without any of
         them the size is guessed from the principal point, with a warning.

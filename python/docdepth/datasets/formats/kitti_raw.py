@@ -50,8 +50,6 @@ class KittiRaw(Recording):
 
     Parameters
     ----------
-    path : Path
-        The drive.
     image_size : (int, int), optional
         Width and height in pixels, for a calibration without ``S_rect``.
     """

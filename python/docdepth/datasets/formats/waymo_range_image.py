@@ -21,13 +21,7 @@ class Beams:
     even: bool  # lasers are spread evenly
 
     def rows(self, height: int) -> NDArray[np.float64]:
-        """Radians of each row of an image, from the highest.
-
-        Raises
-        ------
-        ValueError
-            The LiDAR has another number of lasers.
-        """
+        """Radians of each row of an image, from the highest."""
         if self.even:
             low, high = self.inclinations
             return np.asarray(low + (high - low) * (np.arange(height) + 0.5) / height)[::-1]
