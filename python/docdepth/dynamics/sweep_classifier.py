@@ -32,19 +32,11 @@ _FILE_THREADS = 5
 
 
 class Evidence(NamedTuple):
-    """What is known of a sweep before tracks: labels by its own votes, and its objects.
-
-    Attributes
-    ----------
-    objects : ndarray of uint32, shape (N,)
-        From :func:`docdepth.dynamics.classes.cluster_objects`.
-    porous : ndarray of bool, shape (N,)
-        Of :class:`docdepth.dynamics.voting.OccupancyIntervals`.
-    """
+    """What is known of a sweep before tracks: labels by its own votes, and its objects."""
 
     labels: Labels
-    objects: NDArray[np.uint32]
-    porous: NDArray[np.bool_]
+    objects: NDArray[np.uint32]  # (N,): from :func:`docdepth.dynamics.classes.cluster_objects`
+    porous: NDArray[np.bool_]  # (N,): of :class:`docdepth.dynamics.voting.OccupancyIntervals`
 
 
 class SweepStore(Protocol):

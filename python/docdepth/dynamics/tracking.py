@@ -84,24 +84,17 @@ _BOX = np.dtype(
 
 
 class TrackedSweep(NamedTuple):
-    """What :func:`track_objects` finds in a sweep.
+    """What :func:`track_objects` finds in a sweep."""
 
-    Attributes
-    ----------
-    members : structured ndarray, shape (n,)
-        Objects that belong to a track: ``first`` row (as :func:`cluster_objects` gives it),
-        ``track``, and ``is_dynamic``, 1 if the track makes it dynamic.
-    boxes : structured ndarray, shape (K,)
-        Objects in the frame of :func:`local_poses`: ``track``, ``is_moving``, 1 if it moves in this
-        sweep, ``T_box_world`` (3, 4) and ``half_size`` (3,) in metres. Points above the ground
-        inside of a moving one are dynamic unless their votes are clearly static.
-    voxels : ndarray of uint64, shape (m,)
-        Numbers of the voxels in which nearly everything moved in the sweeps just before and after;
-        the same holds inside.
-    """
-
+    # (n,): objects that belong to a track: ``first`` row (as :func:`cluster_objects` gives it),
+    # ``track``, and ``is_dynamic``, 1 if the track makes it dynamic
     members: NDArray[np.void] = np.zeros(0, _MEMBER)
+    # (K,): objects in the frame of :func:`local_poses`: ``track``, ``is_moving``, 1 if it moves in
+    # this sweep, ``T_box_world`` (3, 4) and ``half_size`` (3,) in metres. Points above the ground
+    # inside of a moving one are dynamic unless their votes are clearly static
     boxes: NDArray[np.void] = np.zeros(0, _BOX)
+    # (m,): numbers of the voxels in which nearly everything moved in the sweeps just before and
+    # after; the same holds inside
     voxels: NDArray[np.uint64] = np.zeros(0, np.uint64)
 
     def __bool__(self) -> bool:

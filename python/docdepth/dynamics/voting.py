@@ -211,21 +211,13 @@ _RECENT = 256
 
 
 class _Family(NamedTuple):
-    """Key frames of one spacing.
+    """Key frames of one spacing."""
 
-    Attributes
-    ----------
-    frames : ndarray of int64, shape (k,)
-        Ascending.
-    arc, time : ndarray of float64, shape (k,)
-        Path length [m] and time [s] of each, ascending.
-    radius, duration : float
-        They vote on sweeps within this path length [m] and time [s].
-    """
-
-    frames: NDArray[np.int64]
+    frames: NDArray[np.int64]  # (k,): ascending
+    # arc, time: (k,): path length [m] and time [s] of each, ascending
     arc: NDArray[np.float64]
     time: NDArray[np.float64]
+    # radius, duration: they vote on sweeps within this path length [m] and time [s]
     radius: float
     duration: float
 

@@ -136,23 +136,13 @@ _MOST_ERROR_DEG = 0.1  # right ones reach 0.02 to 0.08; 0.3 and more where two c
 
 @dataclass(frozen=True)
 class CameraFit:
-    """A change of a camera by its images, and whether it is sure.
+    """A change of a camera by its images, and whether it is sure."""
 
-    Attributes
-    ----------
-    fit : EdgeFit
-        By all images.
-    moved_deg : float
-        By how much it moves depth edges, RMS.
-    error_deg : float
-        Standard error of that: by how much fits without a part of the drive differ (jackknife).
-    gain : float
-        Mean growth of the score of an image by the fit without its part, in standard errors.
-    """
-
-    fit: EdgeFit
-    moved_deg: float
+    fit: EdgeFit  # by all images
+    moved_deg: float  # by how much it moves depth edges, RMS
+    # standard error of that: by how much fits without a part of the drive differ (jackknife)
     error_deg: float
+    # mean growth of the score of an image by the fit without its part, in standard errors
     gain: float
 
     @property

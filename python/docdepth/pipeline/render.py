@@ -49,27 +49,14 @@ class ImageToRender:
 
 @dataclass(frozen=True)
 class RenderPlan:
-    """What the stage has to do.
+    """What the stage has to do."""
 
-    Attributes
-    ----------
-    files : list of DepthFiles
-        One for each camera.
-    stages : list of Stage
-        The stage of each camera.
-    images : list of ImageToRender
-        Images within the trajectory, by time: cameras share the sweeps of one time.
-    left : list of ImageToRender
-        Those that are not done.
-    left_out : dict of str to list of str
-        By camera: images outside the trajectory.
-    """
-
-    files: list[DepthFiles]
-    stages: list[Stage]
+    files: list[DepthFiles]  # one for each camera
+    stages: list[Stage]  # the stage of each camera
+    # images within the trajectory, by time: cameras share the sweeps of one time
     images: list[ImageToRender]
-    left: list[ImageToRender]
-    left_out: dict[str, list[str]]
+    left: list[ImageToRender]  # those that are not done
+    left_out: dict[str, list[str]]  # by camera: images outside the trajectory
     trajectory: Trajectory
 
     @cached_property

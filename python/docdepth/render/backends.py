@@ -85,21 +85,11 @@ class Renderer:
 
 @dataclass(frozen=True)
 class Backend:
-    """The result of trying a renderer.
+    """The result of trying a renderer."""
 
-    Attributes
-    ----------
-    name : str
-        As in ``--renderer``.
-    usable : bool
-        It can be used on this machine.
-    detail : str
-        The device that renders, or the reason why none does.
-    """
-
-    name: str
-    usable: bool
-    detail: str
+    name: str  # as in ``--renderer``
+    usable: bool  # it can be used on this machine
+    detail: str  # the device that renders, or the reason why none does
 
 
 def available() -> list[Backend]:

@@ -31,35 +31,18 @@ PartAround: TypeAlias = tuple[Any, NDArray[np.float64], float]
 
 
 class RenderList(NamedTuple):
-    """What the core draws into an image: parts of sweeps with their poses ``T_camera_sensor``.
-
-    Attributes
-    ----------
-    static : list of Part
-        Those whose static points are drawn.
-    around : list of PartAround
-        Those around the image, the nearest in time first.
-    delays : ndarray of float64, shape (n,)
-        Seconds from the image to the sweep of each part, as the core numbers parts.
-    objects : list of ObjectViews
-        Triangles only, as all that follows.
-    visibility : int
-        So many of ``static`` tell what is visible.
-    nearest : int
-        So many of ``around`` are of the nearest sweep.
-    boxes : list of PlacedBox
-        Behind which the world is drawn only where it was seen.
-    """
+    """What the core draws into an image: parts of sweeps with their poses ``T_camera_sensor``."""
 
     view: View
     parameters: RenderParameters
-    static: list[Part]
-    around: list[PartAround]
+    static: list[Part]  # those whose static points are drawn
+    around: list[PartAround]  # those around the image, the nearest in time first
+    # (n,): seconds from the image to the sweep of each part, as the core numbers parts
     delays: NDArray[np.float64]
-    objects: list[ObjectViews]
-    visibility: int
-    nearest: int
-    boxes: list[PlacedBox]
+    objects: list[ObjectViews]  # triangles only, as all that follows
+    visibility: int  # so many of ``static`` tell what is visible
+    nearest: int  # so many of ``around`` are of the nearest sweep
+    boxes: list[PlacedBox]  # behind which the world is drawn only where it was seen
 
     @property
     def dynamic(self) -> list[Part]:

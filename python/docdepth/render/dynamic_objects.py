@@ -24,35 +24,26 @@ TOUCH = 0.2
 
 @dataclass(frozen=True)
 class DynamicObjects:
-    """The dynamic points of a sweep by object.
+    """The dynamic points of a sweep by object."""
 
-    Attributes
-    ----------
-    object_index : ndarray of uint16, shape (N,)
-        0 of static points, else the number of the point's object in this sweep, from 1 on.
-    instances : tuple of int
-        Of objects 1, 2, ...: the id of its track, or 0 of the points that are not followed.
-    times : tuple of int
-        The time at which each object is held: the mean time of its measurements [ns].
-    T_object_lidar : ndarray of float64, shape (objects, 4, 4)
-        From the LiDAR to each object at that time; identity for points that are not followed.
-    motion : ndarray of float32, shape (objects, 4)
-        Velocity of each object in the LiDAR frame [m/s], and its time [s after the stamp].
-    time_offset : ndarray of float32, shape (N,), optional
-        Seconds from the stamp to each measurement.
-    displacement : ndarray of float32, shape (N, 3), optional
-        Moves each point from where it was measured to where it is at the time of its object [m].
-    visible : ndarray of bool, shape (objects,), optional
-        Which objects images draw; all if absent. The others are not placed.
-    """
-
+    # (N,): 0 of static points, else the number of the point's object in this sweep, from 1 on
     object_index: NDArray[np.uint16]
+    # of objects 1, 2, ...: the id of its track, or 0 of the points that are not followed
     instances: tuple[int, ...]
+    # the time at which each object is held: the mean time of its measurements [ns]
     times: tuple[int, ...]
+    # (objects, 4, 4): from the LiDAR to each object at that time; identity for points that are not
+    # followed
     T_object_lidar: NDArray[np.float64]
+    # (objects, 4): velocity of each object in the LiDAR frame [m/s], and its time [s after the
+    # stamp]
     motion: NDArray[np.float32]
+    # (N,): seconds from the stamp to each measurement
     time_offset: NDArray[np.float32] | None = None
+    # (N, 3): moves each point from where it was measured to where it is at the time of its object
+    # [m]
     displacement: NDArray[np.float32] | None = None
+    # (objects,): which objects images draw; all if absent. The others are not placed
     visible: NDArray[np.bool_] | None = None
 
     def select(self, rows: NDArray[np.bool_]) -> DynamicObjects:

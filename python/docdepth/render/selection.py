@@ -30,21 +30,11 @@ far sweeps differ little from each other: drawing all takes twice the time for 3
 
 
 class DrawnSweeps(NamedTuple):
-    """Indices of the sweeps of an image, in the order in which the core numbers them.
+    """Indices of the sweeps of an image, in the order in which the core numbers them."""
 
-    Attributes
-    ----------
-    static : list of int
-        Sweeps whose static points (ground included) are drawn.
-    dynamic : list of int
-        Sweeps around the image, the nearest in time first.
-    tracked : list of int
-        Further sweeps of which only vehicles are drawn.
-    """
-
-    static: list[int]
-    dynamic: list[int]
-    tracked: list[int]
+    static: list[int]  # sweeps whose static points (ground included) are drawn
+    dynamic: list[int]  # sweeps around the image, the nearest in time first
+    tracked: list[int]  # further sweeps of which only vehicles are drawn
 
     @property
     def with_objects(self) -> list[int]:

@@ -7,14 +7,14 @@ import json
 import os
 import shutil
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from multiprocessing import get_context
 from pathlib import Path
 
 from docdepth._core import __version__
-from docdepth.concurrency import Progress, null_progress
+from docdepth.concurrency import Progress, map_unordered, null_progress
 from docdepth.config import Parameters
 from docdepth.errors import ConfigError, RunError
 from docdepth.io.atomic import write_atomically
@@ -225,14 +225,9 @@ def _run_tasks(tasks: list[_Task], jobs: int, total: int, progress: Progress) ->
         return
     # Spawned, not forked: a fork of a process with running threads can deadlock.
     with ProcessPoolExecutor(min(jobs, len(tasks)), get_context("spawn")) as pool:
-        futures = [pool.submit(task) for task in tasks]
-        try:
-            for k, future in enumerate(as_completed(futures), 1):
-                future.result()
-                progress("trials", before + k, total)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+        ended = map_unordered(pool, _Task.__call__, tasks, jobs)
+        for k, _ in enumerate(ended, 1):
+            progress("trials", before + k, total)
 
 
 def _linked(source: str, copy: str) -> None:

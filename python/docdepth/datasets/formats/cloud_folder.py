@@ -50,52 +50,27 @@ _TABLES = {"times.txt", "timestamps.txt", "poses.txt"}  # beside clouds
 
 
 class FolderLidar(Strict):
-    """One of several LiDARs.
+    """One of several LiDARs."""
 
-    Attributes
-    ----------
-    sweeps : str
-        Folder of its sweeps.
-    T_lidar_sensor : list of float, optional
-        Takes its points to the frame of the first LiDAR; identity if left out.
-    """
-
-    sweeps: str
+    sweeps: str  # folder of its sweeps
     times: str | None = None
+    # takes its points to the frame of the first LiDAR; identity if left out
     T_lidar_sensor: Numbers | None = None
 
 
 class FolderSettings(CameraRecordingSettings):
-    """What ``docdepth.yaml`` of a folder of clouds may say.
+    """What ``docdepth.yaml`` of a folder of clouds may say."""
 
-    Attributes
-    ----------
-    sweeps : str, optional
-        Folder of the sweeps.
-    times : str, optional
-        File with a line a sweep, or ``names``.
-    rate : float, optional
-        Sweeps a second, where there are no times. A number in the name of a file is that of its
-        sweep.
-    columns : tuple of str
-        Values of a point in BIN, NPY and text files; ``_`` for those that mean nothing.
-    dtype : str
-        Of the values in BIN files.
-    frame : {"lidar", "world"}
-        What the coordinates of the points are of.
-    labels : str
-        Folder of labels.
-    lidars : dict
-        Several LiDARs by name, instead of ``sweeps``; the first gives stamps and frame.
-    """
-
-    sweeps: str | None = None
-    times: str | None = None
+    sweeps: str | None = None  # folder of the sweeps
+    times: str | None = None  # file with a line a sweep, or ``names``
+    # sweeps a second, where there are no times. A number in the name of a file is that of its sweep
     rate: float | None = Field(None, gt=0)
+    # values of a point in BIN, NPY and text files; ``_`` for those that mean nothing
     columns: tuple[str, ...] = KITTI_COLUMNS
-    dtype: Literal["float32", "float64"] = "float32"
-    frame: Literal["lidar", "world"] = "lidar"
-    labels: str = "labels"
+    dtype: Literal["float32", "float64"] = "float32"  # of the values in BIN files
+    frame: Literal["lidar", "world"] = "lidar"  # what the coordinates of the points are of
+    labels: str = "labels"  # folder of labels
+    # several LiDARs by name, instead of ``sweeps``; the first gives stamps and frame
     lidars: dict[str, FolderLidar] = Field(default_factory=dict)
 
     @field_validator("columns")
