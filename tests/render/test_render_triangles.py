@@ -17,6 +17,7 @@ from render_reference import (
     straight,
 )
 
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.track import Tracks
 from docdepth.render import render_sweep as render_sweep_module
 from lidar_rays import scan_rays
@@ -225,3 +226,25 @@ def test_an_isolated_return_is_a_small_diamond(monkeypatch):
     assert inside.sum() > 40
     np.testing.assert_array_equal(np.isfinite(depth), inside)
     np.testing.assert_allclose(depth[inside], 10, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("occupied", "free", "drawn"), [(0, 1, False), (2, 5, False), (2, 4, True)]
+)
+@pytest.mark.parametrize("classid", [50, 100])
+def test_an_isolated_return_is_not_drawn_where_others_found_free_air(
+    classid: int, occupied: int, free: int, drawn: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(render_sweep_module, "ISOLATED_SIZE_DEG", 3.0)
+    frame = LidarFrame(
+        points=np.array([[4, 0, 0]], np.float32),
+        index=np.zeros(1, np.uint32),
+        name="000000",
+        input_points=1,
+        classid=np.array([classid], np.uint16),
+        votes_static=np.array([occupied], np.uint16),
+        votes_dynamic=np.array([free], np.uint16),
+    )
+    sweep = render_sweep_module.RenderSweep(frame, TRIANGLES)
+    depth = compose_depth(*drawing(sweep, camera=small_camera()))
+    assert np.isfinite(depth).any() == (drawn or classid == 100)

@@ -29,6 +29,10 @@ WIDENING = 0.2
 narrower [-]. Half of it is too much: a beam returns from what gives the stronger echo, not from the
 nearer thing, and other sweeps see other parts of an edge."""
 
+MIN_FREE_RATIO = 2
+"""Triangles: a static return that belongs to no triangle is not drawn where more than so many times
+as many key frames found its place free as occupied [-]: dust, rain, an insect."""
+
 Part: TypeAlias = tuple[Any, NDArray[np.float64]]
 """What the core draws (``_core.Frame`` of splats, ``_core.MeshFrame`` of triangles), and the pose
 ``T_lidar_sensor`` of the LiDAR that measured it."""
@@ -95,7 +99,8 @@ class RenderSweep:
         # which changes which returns are neighbours, and points beyond the crop are missing.
         meshes = ScanMesh(points, sensor_rig=sensor_rig).parts
         widening = WIDENING * (sensor_rig.beam_width if sensor_rig is not None else 0.0)
-        self.parts = [_part(mesh, classid, self.objects, widening) for mesh in meshes]
+        drawn_alone = ~_in_passing(frame)
+        self.parts = [_part(mesh, classid, drawn_alone, self.objects, widening) for mesh in meshes]
         # Rows of other LiDARs are NaN.
         indices = [
             self.objects.object_index[np.isfinite(mesh.view.points[:, 0])] for mesh in meshes
@@ -186,12 +191,25 @@ def _within_crop(
     return within | (np.isfinite(squared) & (classid >= DYNAMIC))
 
 
+def _in_passing(frame: LidarFrame) -> NDArray[np.bool_]:
+    """Which static points lie where the air is free but for a moment, by the votes of a run."""
+    if frame.votes_static is None or frame.votes_dynamic is None:
+        return np.zeros(len(frame), np.bool_)
+    free = frame.votes_dynamic > MIN_FREE_RATIO * frame.votes_static.astype(np.int64)
+    return np.asarray(free & (frame.classes < DYNAMIC))
+
+
 def _part(
-    mesh: LidarMesh, classid: NDArray[np.uint16], objects: DynamicObjects, widening: float
+    mesh: LidarMesh,
+    classid: NDArray[np.uint16],
+    drawn_alone: NDArray[np.bool_],
+    objects: DynamicObjects,
+    widening: float,
 ) -> Part:
     """The mesh of one LiDAR as the core draws it; rows of other LiDARs are NaN and left out."""
     points, ray_origins = mesh.view.points, mesh.view.ray_origins()
     triangles, isolated = mesh.core.triangles, mesh.core.isolated
+    isolated = isolated[drawn_alone[isolated]]
     turn = mesh.view.T_lidar_sensor[:3, :3].astype(np.float32)
     motion = objects.motion.copy()
     motion[:, :3] = motion[:, :3] @ turn
