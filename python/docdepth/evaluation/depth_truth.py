@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.errors import DamagedFileError, DatasetError
+from docdepth.errors import DatasetError
 from docdepth.evaluation.label_counts import class_name, classes_of
 from docdepth.evaluation.pixels import Mask
 from docdepth.geometry.camera import below_horizon
 from docdepth.geometry.points import MOVING_LABELS
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.untrusted import ArrayError, read_array, read_arrays, read_text
+from docdepth.io.untrusted import ArrayError, read_array, read_layers, read_text
 from docdepth.pipeline.convert import INSIDE
 
 log = logging.getLogger(__name__)
@@ -146,10 +146,7 @@ class DepthTruth:
     def _by_confidence(self, name: str, part: Part) -> dict[str, Mask]:
         """Pixels between two confidences, if the run has that layer of the image."""
         file = self._layers / f"{name}.npz"
-        try:
-            layer = read_arrays(file).get("confidence") if file.is_file() else None
-        except (OSError, ArrayError) as error:
-            raise DamagedFileError(file, str(error)) from None
+        layer = read_layers(file, "confidence").get("confidence")
         if layer is None:
             return {}
         confidence, names = layer[part], ("less", *(f"{border:g}" for border in CONFIDENCES), "1")

@@ -215,6 +215,16 @@ def read_kept_arrays(file: Path, *names: str) -> list[NDArray[Any]]:
         raise DamagedFileError(file, str(error)) from None
 
 
+def read_layers(file: Path, *names: str) -> dict[str, NDArray[Any]]:
+    """Those of the named layers that an image of a run has; none where there is no file."""
+    try:
+        return read_arrays(file, names)
+    except FileNotFoundError:
+        return {}
+    except (OSError, ArrayError) as error:
+        raise DamagedFileError(file, str(error)) from None
+
+
 def _read(stream: IO[bytes], size: int) -> NDArray[Any]:
     """The array of a stream of ``size`` bytes; memory is taken only for bytes that are there."""
     try:

@@ -27,7 +27,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import described_maps, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
-from docdepth.io.untrusted import ArrayError, read_arrays
+from docdepth.io.untrusted import read_layers
 from docdepth.pipeline.cameras import camera_parameters, run_cameras
 from docdepth.pipeline.cloud_map import VOXEL, CloudMap, gather_map
 from docdepth.pipeline.run_inputs import recording_of
@@ -381,10 +381,7 @@ class ImageLayers(Mapping[str, NDArray[Any]]):
         if name not in tuple(self):
             raise KeyError(f"no layer {name!r}; there are {', '.join(self)}")
         file = images.run.path / "layers" / images.subfolder / f"{image.name}.npz"
-        try:
-            stored = read_arrays(file, [name]) if file.is_file() else {}
-        except ArrayError as error:
-            raise DamagedFileError(file, str(error)) from None
+        stored = read_layers(file, name)
         if name in stored:
             return stored[name]
         scene, depth = images.scene, image.depth

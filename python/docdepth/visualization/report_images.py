@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream
-from docdepth.errors import DamagedFileError
 from docdepth.geometry.camera import below_horizon
 from docdepth.geometry.se3 import inverse, transform_points
 from docdepth.geometry.track import Track
 from docdepth.io.depth import described_maps, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
-from docdepth.io.untrusted import ArrayError, read_arrays
+from docdepth.io.untrusted import read_layers
 from docdepth.visualization.image_views import draw_tracks, photo_of, view_of_layer, view_of_points
 from docdepth.visualization.page import Leaf, embedded, embedded_depth
 from docdepth.visualization.pictures import Picture, colorize
@@ -97,7 +95,7 @@ def _pictures(
     """What is known of an image beside its depth."""
     trajectory, (camera, T_camera_lidar, _) = run.trajectory(), run.calibration(folder)
     T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate([time])[0])
-    layers = _layers(run.path / "layers" / folder / f"{name}.npz")
+    layers = read_layers(run.path / "layers" / folder / f"{name}.npz", "class", *_LAYERS)
     pictures = {layer: view_of_layer(layer, values, photo) for layer, values in layers.items()}
     if "class" not in pictures:
         k = trajectory.nearest(time)
@@ -107,16 +105,6 @@ def _pictures(
         pictures["class"] = view_of_points(points, classid, camera, photo)
     draw_tracks(pictures["class"], tracks, time, camera, T_camera_world)
     return pictures if photo is None else pictures | {"image": photo}
-
-
-def _layers(path: Path) -> dict[str, NDArray[Any]]:
-    try:
-        stored = read_arrays(path)
-        return {name: stored[name] for name in ("class", *_LAYERS) if name in stored}
-    except FileNotFoundError:
-        return {}
-    except (OSError, ArrayError) as error:
-        raise DamagedFileError(path, str(error)) from None
 
 
 def _reduced(picture: Picture) -> Picture:
