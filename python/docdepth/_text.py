@@ -142,6 +142,13 @@ def parse_settings(assignments: list[str]) -> dict[str, object]:
     return settings
 
 
+def as_setting(value: Any) -> str:
+    """A value as :func:`parse_settings` takes it."""
+    if isinstance(value, tuple | list):
+        return ",".join(map(as_setting, value)) or "none"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
 def check_key_frames(kind: str, spacing: float, radius: float) -> None:
     """Refuse key frames that never vote, or too many of them."""
     names = f"dynamics.{kind}_radius", f"dynamics.{kind}_spacing"

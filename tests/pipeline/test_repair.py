@@ -103,8 +103,8 @@ def test_results_of_a_changed_stage_are_not_used(root):
     # The first command goes on with the changed parameter and tells how to go back.
     result = again(root)
     assert result.exit_code == 0
-    back = f"docdepth run {root / 'run'} --set odometry.min_range=3.0"
-    assert f"odometry.min_range is 3.5, was 3.0; back: {back}" in result.output
+    back = f"docdepth run {root / 'run'} --set odometry.min_range=3"
+    assert f"odometry.min_range is 3.5, was 3; back: {back}" in result.output
     assert {state for state, _ in state_of(root).values()} == {"done"}
     assert cli("evaluate", "held-out", root / "run").exit_code == 0
 

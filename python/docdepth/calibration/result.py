@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from operator import methodcaller
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +84,7 @@ def write_result(
         if pair.image is not None:
             picture = points_on_image(read_image_of(pair.image), board, pair, found.solution)
             encoded = cv2.imencode(".jpg", picture)[1].tobytes()
-            write_output(folder / f"{pair.name}.jpg", methodcaller("write", encoded))
+            write_output(folder / f"{pair.name}.jpg", encoded)
         progress("pictures", done, len(pairs))
 
 

@@ -156,7 +156,7 @@ def _compare_clocks(run: Path, camera: str | None, output: Path | None, as_json:
     lines = list(found.lines)
     if output is not None:
         times = found.corrected(image_times(run, camera)).encode()
-        _write(output / "camera_times.txt", times)
+        write_output(output / "camera_times.txt", times)
         name = output / "camera_times.txt"
         lines.append(f"with them: docdepth run RECORDING --camera-times {name} -o RUN")
     return show_json(found.figures) if as_json else say(*lines)
@@ -176,7 +176,7 @@ def _fit_cameras(run: Path, camera: str | None, output: Path | None, as_json: bo
         if output is not None:
             place = output / stream.name if len(names) > 1 else output
             picture = place / f"{found.check.worst}.jpg"
-            _write(picture, encode_image(found.check.picture, ".jpg"))
+            write_output(picture, encode_image(found.check.picture, ".jpg"))
             lines.append(f"{picture}: depth edges as they are red, where they fit green")
             if found.is_changed:
                 more: dict[str, object] = {"fit": found.figures["fit"]}
@@ -190,11 +190,6 @@ def _fit_cameras(run: Path, camera: str | None, output: Path | None, as_json: bo
             say(*lines)
     if as_json:
         show_json(figures)
-
-
-def _write(path: Path, content: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_output(path, lambda stream: stream.write(content))
 
 
 def _stream(recording: Dataset, name: str | None) -> ImageStream:

@@ -8,11 +8,12 @@ import os
 import platform
 import re
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from docdepth._core import __version__
+from docdepth._text import as_setting
 from docdepth.cli.options import Json, one_of, verb
 from docdepth.cli.terminal import out, say, show_json
 from docdepth.config import STAGES
@@ -52,20 +53,12 @@ def parameters(
         return show_json(rows)
     for row in rows:
         unit = f" {row['unit']}" if row["unit"] else ""
-        paper = "" if row["paper"] == row["default"] else f", paper {_shown(row['paper'])}"
+        paper = "" if row["paper"] == row["default"] else f", paper {as_setting(row['paper'])}"
         symbol = f" ({row['symbol']} in the paper)" if row["symbol"] else ""
-        values = f"{_shown(row['default'])}{unit}{paper}"
+        values = f"{as_setting(row['default'])}{unit}{paper}"
         allowed = f"allowed: {row['range']}" + (unit if row["unit"] else "")
         out.print(f"[bold]{row['name']}[/bold]  {values}; {allowed}", soft_wrap=True)
         say(f"    {row['description']}{symbol}")
-
-
-def _shown(value: Any) -> str:
-    """A value as ``--set`` takes it."""
-    if isinstance(value, tuple | list):
-        texts = [_shown(v) for v in value]
-        return ",".join(texts) if texts else "none"
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 @verb()

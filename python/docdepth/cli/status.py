@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from rich.table import Table
 
+from docdepth._text import as_setting
 from docdepth.cli.options import Json, RunPath, option, verb
 from docdepth.cli.terminal import as_commands, err, out, say, show_json, volume
 from docdepth.errors import Finding
@@ -129,14 +130,11 @@ def changes_since_start(folder: RunFolder) -> list[str]:
     ]
     if not changed:
         return []
-    what = ", ".join(f"{key} is {_shown(new)}, was {_shown(old)}" for key, new, old in changed)
-    back = " ".join(f"--set {key}={_shown(old)}" for key, _, old in changed)
+    what = ", ".join(
+        f"{key} is {as_setting(new)}, was {as_setting(old)}" for key, new, old in changed
+    )
+    back = " ".join(f"--set {key}={as_setting(old)}" for key, _, old in changed)
     return [f"{what}; back: docdepth run {folder.path} {back}"]
-
-
-def _shown(value: Any) -> str:
-    """As ``--set`` takes it."""
-    return ",".join(map(str, value)) or "none" if isinstance(value, list) else str(value)
 
 
 def show(result: Any, as_json: bool) -> None:

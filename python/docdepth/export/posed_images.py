@@ -62,7 +62,7 @@ def write_image(path: Path, pixels: NDArray[np.uint8]) -> None:
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a whole file."""
-    write_atomically(path, lambda stream: stream.write(content))
+    write_atomically(path, content)
 
 
 class Colors:

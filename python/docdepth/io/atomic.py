@@ -25,9 +25,11 @@ from docdepth.io.untrusted import open_file
 
 log = logging.getLogger(__name__)
 
-WriteFile = Callable[[Path, Callable[[BinaryIO], object]], None]
-"""A function like :func:`write_atomically`."""
+Content = bytes | Callable[[BinaryIO], object]
+"""What a file is to hold, or what writes that into it."""
 
+WriteFile = Callable[[Path, Content], None]
+"""A function like :func:`write_atomically`."""
 
 _CHUNK = 1 << 22  # bytes that are read at once for a checksum
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -45,7 +47,7 @@ class Written:
 
 def write_atomically(
     path: Path,
-    write: Callable[[BinaryIO], object],
+    content: Content,
     *,
     sync: bool = True,
     before_rename: Callable[[Written], object] | None = None,
@@ -57,8 +59,6 @@ def write_atomically(
 
     Parameters
     ----------
-    write : callable
-        Called with the file.
     sync : bool
         False for intermediate files that the same stage reads again and deletes. They are whole
         after a killed run, but perhaps not after a power failure.
@@ -70,7 +70,10 @@ def write_atomically(
         with contextlib.suppress(FileExistsError):  # opening the file says that it is no folder
             path.parent.mkdir(parents=True, exist_ok=True)
         with part.open("wb") as stream:
-            write(stream)
+            if isinstance(content, bytes):
+                stream.write(content)
+            else:
+                content(stream)
             stream.flush()
             if sync:
                 os.fsync(stream.fileno())
@@ -107,14 +110,14 @@ def checksum(path: Path) -> int:
     return found
 
 
-def write_output(path: Path, write: Callable[[BinaryIO], object]) -> None:
+def write_output(path: Path, content: Content) -> None:
     """Write a file in a folder that a user named; one with other content becomes ``NAME.old``."""
 
     def keep(written: Written) -> None:
         if not has_content(path, written):
             move_aside(path)
 
-    write_atomically(path, write, before_rename=keep)
+    write_atomically(path, content, before_rename=keep)
 
 
 def has_content(path: Path, written: Written) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from operator import methodcaller
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -82,11 +81,11 @@ def write_calibration(
         ):
             if content:
                 text = yaml.safe_dump(content, default_flow_style=None, sort_keys=False).encode()
-                write_file(folder / file, methodcaller("write", text))
+                write_file(folder / file, text)
     intrinsics = json.dumps(calibration | (more or {}), indent=1).encode()
     rows = "\n".join(" ".join(repr(float(v)) for v in row) for row in T_camera_lidar) + "\n"
-    write_file(folder / INTRINSICS, lambda stream: stream.write(intrinsics))
-    write_file(folder / EXTRINSICS, lambda stream: stream.write(rows.encode()))
+    write_file(folder / INTRINSICS, intrinsics)
+    write_file(folder / EXTRINSICS, rows.encode())
 
 
 def _as_ros(name: str, camera: Camera, numbers: list[float], model: str) -> dict[str, object]:

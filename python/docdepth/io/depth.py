@@ -115,7 +115,7 @@ def write_depth(
     if format is None:
         raise InputError(f"{path}: depth is written as {', '.join(_READ)}, not {suffix!r}")
     content = encode_depth(depth, format, scale)
-    write_atomically(path, lambda out: out.write(content))
+    write_atomically(path, content)
 
 
 def check_format(format: str, scale: float, max_depth: float) -> None:

@@ -161,7 +161,7 @@ def write_labels(path: Path, frame: LidarFrame, write_file: WriteFile = write_at
     if frame.instance is not None:
         labels |= frame.instance.astype(np.uint32) << 16
     rows[frame.index] = labels
-    write_file(path, lambda stream: stream.write(rows.tobytes()))
+    write_file(path, rows.tobytes())
 
 
 def _read_pcd(file: Path, frame: int) -> NDArray[np.uint32]:

@@ -146,7 +146,7 @@ def write_pcd(
         f"POINTS {len(rows)}", "DATA binary", "",
     )  # fmt: skip
     content = "\n".join(lines).encode() + rows.tobytes()
-    write_atomically(path, lambda stream: stream.write(content))
+    write_atomically(path, content)
 
 
 def read_pcd_header(path: Path) -> PcdHeader:

@@ -5,15 +5,23 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from threading import RLock
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 from uuid import uuid4
 
 from docdepth.errors import RunError
-from docdepth.io.atomic import WriteFile, Written, has_content, locked, move_aside, write_atomically
+from docdepth.io.atomic import (
+    Content,
+    WriteFile,
+    Written,
+    has_content,
+    locked,
+    move_aside,
+    write_atomically,
+)
 from docdepth.io.file_records import FileRecords, shared_records
 from docdepth.io.manifest import RunManifest
 
@@ -165,7 +173,7 @@ class RecordedFolder:
     def write(
         self,
         path: Path,
-        write: Callable[[BinaryIO], object],
+        content: Content,
         key: dict[str, str],
         *,
         sync: bool = True,
@@ -185,7 +193,7 @@ class RecordedFolder:
         self.records(path.parent)  # refuses what lies outside
         if self.staged is None:
             write_atomically(
-                path, write, sync=sync, before_rename=lambda one: self._record(path, one, key)
+                path, content, sync=sync, before_rename=lambda one: self._record(path, one, key)
             )
             return
         part, staged, inside = self.staging / uuid4().hex, self.staged, path.relative_to(self.path)
@@ -193,7 +201,7 @@ class RecordedFolder:
         def stage(written: Written) -> None:
             staged.append(StagedFile(str(part.relative_to(self.path)), str(inside), written, key))
 
-        write_atomically(part, write, sync=sync, before_rename=stage)
+        write_atomically(part, content, sync=sync, before_rename=stage)
 
     def _record(self, path: Path, written: Written, key: dict[str, str]) -> None:
         """Note a file that gets its name next."""
@@ -229,7 +237,7 @@ class RecordedFolder:
 
     def writer(self, key: dict[str, str]) -> WriteFile:
         """:meth:`write` for files that are made of ``key``."""
-        return lambda path, write: self.write(path, write, key)
+        return lambda path, content: self.write(path, content, key)
 
     def remove(self, path: Path) -> None:
         """Delete a file, if docdepth wrote it; one that was changed since becomes ``NAME.old``."""

@@ -202,7 +202,7 @@ class RunFolder(RecordedFolder):
         text = self._saved = self.manifest.text()
         for path in (self._manifest_path, self._copy_path):
             if _content(path) != text:
-                write_atomically(path, lambda stream: stream.write(text))
+                write_atomically(path, text)
 
     def stage(self, name: str) -> StageEntry:
         """State of a stage in run.yaml; its key is None before it starts."""
@@ -233,7 +233,7 @@ class RunFolder(RecordedFolder):
     def write_notes(self, name: str, notes: Mapping[str, object]) -> None:
         """Write a JSON file of ``.docdepth``."""
         text = json.dumps(notes, indent=1).encode()
-        self.write(self.state_dir / name, lambda stream: stream.write(text), {})
+        self.write(self.state_dir / name, text, {})
 
     def frame_path(self, index: int) -> Path:
         return self.path / "frames" / f"frame_{index:06d}.ply"

@@ -196,7 +196,7 @@ def write_kitti_tracking(
             row = _kitti_label(track, T_camera_object, camera)
             rows += [(int(indices[k]), track.id, row)] if row else []
     content = "".join(f"{index} {number} {row}\n" for index, number, row in sorted(rows)).encode()
-    write_file(path, lambda stream: stream.write(content))
+    write_file(path, content)
 
 
 def box_in_image(

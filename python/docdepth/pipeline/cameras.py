@@ -17,7 +17,13 @@ from docdepth.datasets.views import View
 from docdepth.errors import CalibrationError, ConfigError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.ground_plane import level_turn
-from docdepth.geometry.se3 import inverse, poses_from, quaternion_to_matrix, rotation_exp
+from docdepth.geometry.se3 import (
+    inverse,
+    nearest_rotation,
+    poses_from,
+    quaternion_to_matrix,
+    rotation_exp,
+)
 from docdepth.io.depth import DESCRIPTION
 from docdepth.io.inputs import Point, RunInputs
 from docdepth.io.manifest import CameraEntry, StoredCameraFit, VirtualCamera
@@ -324,8 +330,7 @@ def parse_pose(text: str) -> NDArray[np.float64]:
             f"`pose={text!r}`: write x,y,z or x,y,z,qx,qy,qz,qw or a file with a 4x4 matrix; it is "
             "the pose of the camera in the LiDAR frame and must be rigid"
         )
-    u, _, vt = np.linalg.svd(rotation)
-    return poses_from([u @ vt], position[None])[0]
+    return poses_from([nearest_rotation(rotation)], position[None])[0]
 
 
 def _numbers(argument: str, text: str, count: int, pattern: str) -> list[float]:

@@ -241,7 +241,7 @@ def take_labels(
             profile.more |= {"labels": str(given.folder), "tracks": tracks is not None}
             if tracks is not None:
                 content = tracks
-                run.write(run.path / TRACKS, lambda stream: stream.write(content), key)
+                run.write(run.path / TRACKS, content, key)
             something_moves = False
             for index in left:
                 with profile.timer("read"):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from operator import methodcaller
 from pathlib import Path
 from typing import Any
 
@@ -168,7 +167,7 @@ class DepthFiles:
                 content = npz_bytes(compressed=True, **layers)
             else:
                 content = encode_depth(depth, what, self.parameters.output.scale)
-            self.run.write(path, methodcaller("write", content), key)
+            self.run.write(path, content, key)
         return _share_with_depth(depth)
 
     def describe(self, complete: bool = True) -> None:
@@ -204,7 +203,7 @@ class DepthFiles:
         content = json.dumps(description, indent=1).encode()
         path = self.run.path / "depth" / self.folder / DESCRIPTION
         key = {"render": self.key, **self.layers_key} if complete else {"incomplete": self.key}
-        self.run.write(path, lambda out: out.write(content), key)
+        self.run.write(path, content, key)
 
 
 def _share_with_depth(depth: NDArray[np.float32]) -> float:

@@ -102,7 +102,7 @@ def write_csv(outcomes: Sequence[Outcome], by: str, path: Path) -> None:
         settings = [outcome.settings.get(name, "") for name in names]
         figures = [outcome.metric(metric) for metric, _, _ in COLUMNS[by].values()]
         writer.writerow([outcome.run, outcome.name, *settings, *figures])
-    write_output(path, lambda out: out.write(stream.getvalue().encode()))
+    write_output(path, stream.getvalue().encode())
 
 
 def plot(outcomes: Sequence[Outcome], by: str, path: Path) -> None:
@@ -137,7 +137,7 @@ def plot(outcomes: Sequence[Outcome], by: str, path: Path) -> None:
     figure.legend(loc="outside right upper", fontsize=8)
     stream = io.BytesIO()
     figure.savefig(stream, format=path.suffix[1:], dpi=120)
-    write_output(path, lambda out: out.write(stream.getvalue()))
+    write_output(path, stream.getvalue())
 
 
 def _varying_parameter(outcomes: Sequence[Outcome]) -> str | None:

@@ -167,7 +167,7 @@ class _Task:
                 f"another command has changed {self.run} meanwhile; run the same command again"
             )
         content = json.dumps({"key": self.key, "metrics": metrics}, indent=1).encode()
-        write_atomically(self._file, lambda stream: stream.write(content))
+        write_atomically(self._file, content)
         shutil.rmtree(path)
         with contextlib.suppress(OSError):
             path.parent.rmdir()  # unless it holds another trial

@@ -96,7 +96,7 @@ def write_page(path: Path, parts: Iterable[str]) -> None:
         known = read_file(path) if path.is_file() else content
         if not known.endswith(_seal(known[: -len(_seal(known))])):
             move_aside(path)
-        write_atomically(path, lambda stream: stream.write(content))
+        write_atomically(path, content)
     except OSError as error:
         raise DatasetError(
             f"{path} cannot be written ({error.strerror}); name another file"

@@ -113,7 +113,7 @@ def write_report(run: RunFolder, streams: Mapping[str, CameraStream]) -> Path:
     ]
     path = run.path / "report" / "index.html"
     content = "\n".join(parts).encode(errors="replace")  # the name of the folder may be no text
-    run.write(path, lambda stream: stream.write(content), {})
+    run.write(path, content, {})
     return path
 
 
@@ -136,7 +136,7 @@ def keep_held_out(run: RunFolder, camera: str | None, errors: Mapping[str, Any])
     path = run.path / "report" / folder / HELD_OUT
     try:
         with run.lock("evaluate"):
-            run.write(path, lambda stream: stream.write(content), {"render": made_of})
+            run.write(path, content, {"render": made_of})
     except (OSError, RunError) as error:
         log.warning("the errors are not kept for the report: %s", error)
         return False

@@ -163,7 +163,7 @@ def _write(
                 f"cannot write {path}: OpenCV stopped early; make room on the disk and try again"
             )
         with run.lock("video"):
-            run.write(path, lambda stream: stream.write(read_file(part)), key)
+            run.write(path, read_file(part), key)
     finally:
         part.unlink(missing_ok=True)
         os.close(opened)
