@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from docdepth.calibration.board import Board
 from docdepth.calibration.lens import Lens
-from docdepth.geometry.se3 import transform_points
+from docdepth.geometry.se3 import rigid, transform_points
 
 Floats = NDArray[np.float64]
 _SUBPIXEL = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
@@ -120,8 +120,7 @@ def board_pose(corners: Floats, board: Board, lens: Lens) -> tuple[Floats, float
         _, vector, shift = cv2.solvePnP(
             places, rays, np.eye(3), None, vector.copy(), shift.copy(), useExtrinsicGuess=True
         )
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(vector)[0], np.ravel(shift)
+        pose = rigid(cv2.Rodrigues(vector)[0], np.ravel(shift))
         seen = lens.project(transform_points(pose, places))
         error = float(np.sqrt(np.mean(np.sum((seen - corners) ** 2, axis=1))))
         candidates.append((np.inf if np.isnan(error) else error, pose))

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from docdepth.calibration.board import Board
 from docdepth.calibration.outline import NEAR_PLANE, BoardRays, rays_near
 from docdepth.calibration.sweeps import BoardSweep
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import inverse, rigid
 
 Floats = NDArray[np.float64]
 
@@ -196,9 +196,7 @@ def _facing(centre: Floats, normal: Floats) -> Floats:
     z = normal if normal @ centre > 0 else -normal
     x = np.cross(z, (0.0, 0.0, 1.0) if abs(z[2]) < 0.9 else (0.0, 1.0, 0.0))
     x /= np.linalg.norm(x)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = np.stack([x, np.cross(z, x), z], axis=1), centre
-    return pose
+    return rigid(np.stack([x, np.cross(z, x), z], axis=1), centre)
 
 
 def _on_plane(points: Floats, pose: Floats) -> Floats:
@@ -208,10 +206,8 @@ def _on_plane(points: Floats, pose: Floats) -> Floats:
     z = normal if normal @ pose[:3, 2] > 0 else -normal
     x = pose[:3, 0] - (pose[:3, 0] @ z) * z
     x /= np.linalg.norm(x)
-    result = np.eye(4)
-    result[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
-    result[:3, 3] = pose[:3, 3] - ((pose[:3, 3] - centre) @ z) * z
-    return result
+    shift = ((pose[:3, 3] - centre) @ z) * z
+    return rigid(np.stack([x, np.cross(z, x), z], axis=1), pose[:3, 3] - shift)
 
 
 def _fit_rectangle(rays: BoardRays, board: Board, pose: Floats, blur: float = _BLUR) -> Floats:

@@ -21,7 +21,7 @@ from docdepth.datasets.files import (
     suggest_skipping,
 )
 from docdepth.errors import CalibrationError, DatasetError
-from docdepth.geometry.se3 import are_rotations, if_mirrored, nearest_rotation, poses_from
+from docdepth.geometry.se3 import are_rotations, if_mirrored, nearest_rotation, poses_from, rigid
 
 _ROWS = packed(x="f4", y="f4", z="f4", reflectance="f4")
 _IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm")
@@ -222,9 +222,7 @@ def camera_offset(P: NDArray[np.float64]) -> NDArray[np.float64]:
     The fourth column of P is K b. KITTI's cameras sit beside the reference camera, and b has a
     small z too.
     """
-    result = np.eye(4)
-    result[:3, 3] = np.linalg.solve(P[:, :3], P[:, 3])
-    return result
+    return rigid(np.eye(3), np.linalg.solve(P[:, :3], P[:, 3]))
 
 
 def image_files(folder: Path) -> list[Path]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, Dataset, Sweep
 from docdepth.diagnostics.alignment_views import View, edge_strength, scores_of, views_of
-from docdepth.geometry.se3 import matrix_to_quaternion, quaternion_to_matrix, rotation_exp
+from docdepth.geometry.se3 import matrix_to_quaternion, quaternion_to_matrix, rigid, rotation_exp
 
 Scores = NDArray[np.float64]
 Change = tuple[float, float, float, float, float, float]
@@ -195,8 +195,7 @@ class _Pairs:
         return bool(share.mean() < _CHANCE and share.mean() - 1 < _CHANCE_ERRORS * error)
 
     def _after(self, change: Change) -> Scores:
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = rotation_exp(np.radians(change[:3])), change[3:]
+        T = rigid(rotation_exp(np.radians(change[:3])), change[3:])
         return scores_of(self.views, self.stream, T)
 
 

@@ -17,6 +17,7 @@ from docdepth.geometry.se3 import (
     inverse,
     matrix_to_quaternion,
     quaternion_to_matrix,
+    rigid,
     rotation_exp,
     rotation_log,
     transform_points,
@@ -190,8 +191,7 @@ def _changes(
         remedy = f"change the sign of {name} of the points or of the poses"
         changes[Finding("handedness", "", text, remedy)] = partial(_mirrored, mirror=S)
     for angle in (90, -180, -90):
-        T = np.eye(4)
-        T[:3, :3] = rotation_exp(np.radians([0.0, 0, angle]))
+        T = rigid(rotation_exp(np.radians([0.0, 0, angle])))
         text = (
             f"the poses are of a frame that is turned by {-angle} degrees about z against that of "
             "the points"

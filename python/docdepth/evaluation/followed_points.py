@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from docdepth.evaluation.pixels import project
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.se3 import inverse, rotation_exp, rotation_log, transform_points
+from docdepth.geometry.se3 import inverse, rigid, rotation_exp, rotation_log, transform_points
 from docdepth.geometry.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
@@ -111,6 +111,5 @@ def smooth_pose(trajectory: Trajectory, time: int) -> Floats:
     weight = np.exp(-0.5 * (s / _SMOOTH) ** 2)[:, None]
     basis = np.column_stack([np.ones(len(s)), s, s * s])
     at = np.linalg.lstsq(basis * weight, motion * weight, rcond=None)[0][0]
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation_exp(at[:3]), at[3:]
+    pose = rigid(rotation_exp(at[:3]), at[3:])
     return nearest @ pose

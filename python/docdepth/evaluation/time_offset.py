@@ -22,7 +22,7 @@ from docdepth.diagnostics.sweeps import spread
 from docdepth.errors import CalibrationError
 from docdepth.evaluation.camera_error import images_and_maps
 from docdepth.evaluation.followed_points import Window, follow, predicted, smooth_pose
-from docdepth.geometry.se3 import inverse, rotation_exp, rotation_log
+from docdepth.geometry.se3 import inverse, rigid, rotation_exp, rotation_log
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import read_depth
 from docdepth.io.run_folder import RunFolder
@@ -263,8 +263,7 @@ class _Motion:
 
     def errors(self, state: Floats) -> list[Floats]:
         """Pixels by which points of each window miss, (n, 2)."""
-        change = np.eye(4)
-        change[:3, :3], change[:3, 3] = rotation_exp(state[1:4]), state[4:]
+        change = rigid(rotation_exp(state[1:4]), state[4:])
         T, offset = change @ self._stream.T_camera_lidar, round(1e9 * state[0])
         errors = []
         for window, (points, seen) in zip(self._windows, self._points, strict=True):

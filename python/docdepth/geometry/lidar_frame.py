@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import InputError
 from docdepth.geometry.points import GROUND, STATIC, ShortRepr, float_array
-from docdepth.geometry.se3 import check_rigid, inverse
+from docdepth.geometry.se3 import check_rigid, inverse, rigid
 
 _MOST_SENSORS = 256  # index is uint8
 _AXIS_RANGE = 1e-3  # metres from the axis; nearer points have no direction
@@ -100,8 +100,7 @@ class SensorRig(ShortRepr):
     @classmethod
     def single(cls, place: ArrayLike, points: int) -> SensorRig:
         """One LiDAR at ``place``, (3,) in metres in the frame of its points."""
-        T_lidar_sensor = np.eye(4)
-        T_lidar_sensor[:3, 3] = float_array("place", place)
+        T_lidar_sensor = rigid(np.eye(3), float_array("place", place))
         return cls(np.zeros(points, np.uint8), T_lidar_sensor[None])
 
     def with_ego_motion(self, velocity: ArrayLike, time_offset: NDArray[np.float32]) -> SensorRig:

@@ -140,6 +140,13 @@ def poses_from(
     return poses
 
 
+def rigid(rotation: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> NDArray[np.float64]:
+    """A rotation (3, 3) and a translation (3,) as one transform (4, 4)."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation, position
+    return T
+
+
 def nearest_rotation(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """The rotations nearest to matrices (..., 3, 3), in the Frobenius norm (Kabsch)."""
     u, _, vt = np.linalg.svd(matrix)

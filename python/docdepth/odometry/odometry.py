@@ -28,6 +28,7 @@ from docdepth.datasets.sensor_pose import LEVEL_DEG, ground_of
 from docdepth.errors import Finding, InputError, log_findings
 from docdepth.geometry.ground_plane import level_turn
 from docdepth.geometry.points import ShortRepr
+from docdepth.geometry.se3 import rigid
 from docdepth.geometry.trajectory import Trajectory, parts_of
 from docdepth.odometry.clock import find_clock_steps
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
@@ -181,8 +182,7 @@ def _level_world(
         "run's world is turned so that z is up"
     )
     findings.append(Finding("leaning-world", "", text))
-    turn = np.eye(4)
-    turn[:3, :3] = level_turn(ground.up)
+    turn = rigid(level_turn(ground.up))
     levelled: NDArray[np.float64] = turn @ poses
     return levelled
 

@@ -14,7 +14,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.geometry.se3 import inverse, nearest_rigid, rotation_exp, se3_log, transform_points
+from docdepth.geometry.se3 import (
+    inverse,
+    nearest_rigid,
+    rigid,
+    rotation_exp,
+    se3_log,
+    transform_points,
+)
 from docdepth.odometry.deskewing import centred_motion
 from docdepth.odometry.registration import FEWEST_POINTS
 from docdepth.odometry.sweeps import SweepPart, ThinnedSweeps, deskewed_points
@@ -178,8 +185,7 @@ def _laid_over(
     best = np.unravel_index(int(every.argmax()), every.shape)
     likeness, place = float(every[best]), shifts[best[1:]]
     elsewhere = every[:, np.linalg.norm(shifts - place, axis=-1) > _APART]
-    start = np.eye(4)
-    start[:3, :3] = rotation_exp((0.0, 0.0, yaws[best[0]]))
+    start = rigid(rotation_exp((0.0, 0.0, yaws[best[0]])))
     start[:2, 3] = place
     return start, likeness, likeness / max(float(elsewhere.max(initial=0.0)), 1e-9)
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.geometry.se3 import se3_exp, se3_log
+from docdepth.geometry.se3 import rigid, se3_exp, se3_log
 
 LAG = 10
 """Sweeps after one that are used for it. At 10 sweeps a second they last four times as long as the
@@ -129,17 +129,14 @@ def _moved(
 ) -> NDArray[np.float64]:
     """The pose at another position, with the rotation that goes with it."""
     turn = se3_exp(lean @ (position - pose[:3, 3]), np.zeros(3))[:3, :3]
-    moved = np.eye(4)
-    moved[:3, :3], moved[:3, 3] = turn @ pose[:3, :3], position
-    return moved
+    return rigid(turn @ pose[:3, :3], position)
 
 
 def _transition(
     before: NDArray[np.float64], pose: NDArray[np.float64], elapsed: float
 ) -> NDArray[np.float64]:
     """Matrix (9, 9) from one state to the next. Velocity and acceleration turn with the vehicle."""
-    turn = np.eye(4)
-    turn[:3, :3] = pose[:3, :3] @ before[:3, :3].T
+    turn = rigid(pose[:3, :3] @ before[:3, :3].T)
     half = se3_exp(0.5 * se3_log(turn)[0], np.zeros(3))[:3, :3]
     advance = np.array([[1, elapsed, elapsed**2 / 2], [0, 1, elapsed], [0, 0, 1]])
     transition = np.kron(advance, np.eye(3))

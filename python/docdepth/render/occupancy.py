@@ -19,7 +19,7 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.ground_plane import find_ground, level_turn
 from docdepth.geometry.lidar_frame import LidarFrame, SensorRig, lidar_views
 from docdepth.geometry.points import ShortRepr
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import inverse, rigid
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.dynamic_objects import dynamic_objects
@@ -202,8 +202,7 @@ def _grid_frame(sweeps: Sequence[LidarFrame]) -> NDArray[np.float64]:
     ground = find_ground([frame.points[frame.ground] for frame in frames])
     if ground is None:
         raise InputError("no ground is found below the vehicle, on which the voxels would stand")
-    T = np.eye(4)
-    T[:3, :3] = level_turn(ground.up)
+    T = rigid(level_turn(ground.up))
     T[2, 3] = ground.height
     return T
 

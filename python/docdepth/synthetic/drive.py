@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import InputError
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.se3 import inverse, rotation_exp
+from docdepth.geometry.se3 import inverse, rigid, rotation_exp
 from docdepth.geometry.track import Track
 from docdepth.synthetic.beams import cast_beams, with_blooming
 from docdepth.synthetic.casting import Rays, World
@@ -53,8 +53,7 @@ def kitti_rig() -> Rig:
     P[:, :, :3] = K
     P[:, 0, 3] = (0.0, -387.5744, 44.85728, -339.5242)
     axes = np.array([(0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0)])
-    Tr = np.eye(4)
-    Tr[:3, :3] = rotation_exp(np.radians((0.4, -0.5, 0.3))) @ axes
+    Tr = rigid(rotation_exp(np.radians((0.4, -0.5, 0.3))) @ axes)
     Tr[:3, 3] = -Tr[:3, :3] @ (0.27, 0.0, -0.08)
     shift = np.eye(4)
     shift[0, 3] = P[2, 0, 3] / K[0, 0]

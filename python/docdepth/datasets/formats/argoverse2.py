@@ -22,7 +22,7 @@ from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.datasets.times import times_of_names
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.se3 import inverse, transform_points
+from docdepth.geometry.se3 import inverse, rigid, transform_points
 
 _LIDARS = {"up_lidar": (0, 32), "down_lidar": (32, 64)}
 """Lasers of the two LiDARs, which stand on each other."""
@@ -59,8 +59,7 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
     times = times_of_names(sweeps, 1, remedy)
     names = [file.stem for file in sweeps]
     places = _places(path / "calibration" / "egovehicle_SE3_sensor.feather")
-    T_ego_lidar = np.eye(4)
-    T_ego_lidar[:3, 3] = places["up_lidar"][:3, 3]
+    T_ego_lidar = rigid(np.eye(3), places["up_lidar"][:3, 3])
     lidars: list[FileLidar] = []
     for name, lasers in _LIDARS.items():
         T_ego_sensor = places[name] if lidars else T_ego_lidar
