@@ -317,7 +317,7 @@ def test_a_run_that_needs_too_much_is_refused(
     monkeypatch.undo()
     usage = shutil.disk_usage(tmp_path)._replace(free=10**6)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
-    assert "0.0 GB are free there; make room" in texts(problems(drive, tmp_path / "run"), "error")
+    assert "1 MB are free there; make room" in texts(problems(drive, tmp_path / "run"), "error")
 
 
 def test_memory_of_a_container_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

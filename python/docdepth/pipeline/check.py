@@ -24,7 +24,7 @@ from docdepth.io.depth import check_format
 from docdepth.io.inputs import DerivedInputs, RunInputs
 from docdepth.io.poses import read_poses
 from docdepth.odometry.pose_checks import find_misfit
-from docdepth.pipeline.execution import check_resources, estimate, gigabytes
+from docdepth.pipeline.execution import check_resources, estimate, size_text
 from docdepth.pipeline.given_poses import (
     file_of_poses,
     read_given_poses,
@@ -118,7 +118,7 @@ def check_opened(
     seen = ", ".join(f"{s.name} ({len(s.names)} images)" for s in cameras) or "none"
     summary = (
         f"{len(recording)} sweeps of {np.median(points):.0f} points, cameras {seen}; by estimate "
-        f"{gigabytes(needed.memory)} of memory and {gigabytes(needed.disk)} on disk"
+        f"{size_text(needed.memory)} of memory and {size_text(needed.disk)} on disk"
     )
     return CheckResult(in_order(found), summary)
 

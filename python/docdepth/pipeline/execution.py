@@ -257,8 +257,8 @@ def check_resources(
     memory = available_memory()
     if not found and memory is not None and needed.memory > memory:
         text = (
-            f"the run needs {gigabytes(needed.memory)} of memory for these sweeps and images by "
-            f"estimate, {gigabytes(memory)} are free"
+            f"the run needs {size_text(needed.memory)} of memory for these sweeps and images by "
+            f"estimate, {size_text(memory)} are free"
         )
         remedy = "give `memory` or fewer `jobs`, or end other programs"
         found.append(Finding("memory", "", text, remedy, "error"))
@@ -268,7 +268,7 @@ def check_resources(
     free = shutil.disk_usage(existing).free + _used(output)
     if needed.disk > free:
         text = (
-            f"the run writes {gigabytes(needed.disk)} by estimate, {gigabytes(free)} are free there"
+            f"the run writes {size_text(needed.disk)} by estimate, {size_text(free)} are free there"
         )
         found.append(Finding("disk", str(output), text, "make room or name another disk", "error"))
     return found
@@ -279,8 +279,8 @@ def check_image_size(width: int, height: int, name: str = "the image") -> None:
     needed, memory = int(BASE) + PER_PIXEL * width * height, available_memory()
     if memory is not None and needed > memory:
         raise CalibrationError(
-            f"{name}: {width} x {height} pixels need {gigabytes(needed)} of memory by estimate, "
-            f"{gigabytes(memory)} are free",
+            f"{name}: {width} x {height} pixels need {size_text(needed)} of memory by estimate, "
+            f"{size_text(memory)} are free",
             "give a smaller image size",
             code="memory",
         )
@@ -329,6 +329,6 @@ def _used(folder: Path) -> int:
     return total
 
 
-def gigabytes(count: int) -> str:
+def size_text(count: int) -> str:
     """A number of bytes as people read it."""
-    return f"{count / 1e9:.1f} GB"
+    return f"{count / 1e9:.1f} GB" if count >= 1e8 else f"{count / 1e6:.0f} MB"
