@@ -4,6 +4,7 @@
 #include <cmath>
 #include <numeric>
 
+#include "docdepth/mesh/scan_mesh.hpp"
 #include "docdepth/render/constants.hpp"
 
 namespace docdepth {
@@ -100,6 +101,19 @@ int corner_alone(const std::vector<Vector>& vertices, const std::uint32_t corner
   return order[nearest ? 0 : 2];
 }
 
+/// Whether the range changes steeply along a side: the mesh takes such a triangle for surface only
+/// where it continues the plane of a neighbour.
+bool is_steep(const std::vector<Vector>& vertices, const std::uint32_t corner[3]) {
+  const MeshParameters parameters;
+  for (int i = 0; i < 3; ++i) {
+    const Vector &a = vertices[corner[i]], &b = vertices[corner[(i + 1) % 3]];
+    const float range_a = a.norm(), range_b = b.norm(), change = std::fabs(range_a - range_b);
+    const float across = std::min(range_a, range_b) * (a / range_a - b / range_b).norm();
+    if (change > std::max(parameters.noise, parameters.jump_ratio * across)) return true;
+  }
+  return false;
+}
+
 }  // namespace
 
 PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*triangles)[3],
@@ -114,6 +128,9 @@ PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*trian
   mesh.normals.assign(points.rows(), Vector::Zero());
   mesh.parts.resize(surfaces);
   mesh.parts[0].whole.reserve(count);
+  std::vector<std::uint8_t> at_jump(points.rows(), 0);
+  for (std::size_t t = 0; t < count; ++t)
+    for (int i = 0; discontinuity[t] && i < 3; ++i) at_jump[triangles[t][i]] = 1;
   std::vector<std::size_t> jumps;
   for (std::size_t t = 0; t < count; ++t) {
     const auto [i, j, k] = triangles[t];
@@ -122,6 +139,9 @@ PartitionedMesh partition_mesh(const Points& points, const std::uint32_t (*trian
       jumps.push_back(t);
       continue;
     }
+    if (!object_index[i] && at_jump[i] && at_jump[j] && at_jump[k] &&
+        is_steep(mesh.vertices, triangles[t]))
+      continue;
     mesh.parts[object_index[i]].whole.push_back({i, j, k});
     const Vector &p = mesh.vertices[i], &q = mesh.vertices[j], &r = mesh.vertices[k];
     const Vector normal = (q - p).cross(r - p);

@@ -19,6 +19,10 @@ using Triangles = std::vector<std::array<std::uint32_t, 3>>;
 /// until it meets the other plane: within an object a little past the middle if it never does, and
 /// elsewhere almost to the return of the other side, since rays tell where the surface ends. Of
 /// static surface only the nearer side is extrapolated: it may hide the other one.
+///
+/// Nor is a steep static triangle measured surface if jumps go out from all its corners: among
+/// leaves some continue the plane of a neighbour by chance. Seen from elsewhere they are lines over
+/// the sky. Where a wall ends one has a corner within the wall.
 struct PartitionedMesh {
   struct Parts {
     Triangles whole;  ///< measured surface

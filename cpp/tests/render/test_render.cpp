@@ -327,6 +327,29 @@ TEST_CASE(
   CHECK(border.parts[0].outer.empty());
 }
 
+TEST_CASE("a steep triangle between jumps is no surface, and the end of a wall is") {
+  // A wall along y = 1, and a point far behind its end.
+  Matrix points(5, 3);
+  points << 10, 1, 0, 10, 1, 0.2f, 16, 1, 0, 16, 1, 0.2f, 40, 2.3f, 0;
+  const std::uint32_t triangles[3][3] = {{0, 1, 2}, {1, 3, 2}, {2, 3, 4}};
+  const std::uint8_t end[3] = {0, 0, 1};
+  CHECK(partition_mesh(points, triangles, end, 3, ObjectIndex(5, 0).data(), 1)
+            .parts[0]
+            .whole.size() == 2);
+  const std::uint8_t both[3] = {1, 0, 1};  // jumps at corners 0, 1 and 2, and at 2, 3 and 4
+  CHECK(partition_mesh(points, triangles, both, 3, ObjectIndex(5, 0).data(), 1)
+            .parts[0]
+            .whole.empty());
+  CHECK(partition_mesh(points, triangles, both, 3, ObjectIndex(5, 1).data(), 2)
+            .parts[1]
+            .whole.size() == 1);  // few sweeps see an object that moves
+
+  points.col(0).setConstant(10);  // what faces the sensor may be as narrow as a post
+  CHECK(partition_mesh(points, triangles, both, 3, ObjectIndex(5, 0).data(), 1)
+            .parts[0]
+            .whole.size() == 1);
+}
+
 TEST_CASE("where two planes meet between their last returns, each goes on to the other") {
   // Seen from the origin: a floor 2 below, and a wall at x = 10 that stands on it.
   Matrix points(6, 3);
