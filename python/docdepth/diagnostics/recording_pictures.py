@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from docdepth.datasets import CameraStream, Dataset, usable_points
 from docdepth.diagnostics.recording_checks import Inspection
 from docdepth.errors import DocDepthError
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import Camera, pixels_in_image
 from docdepth.geometry.ground_plane import GroundPlane, level_turn
 from docdepth.geometry.se3 import inverse, transform_points
 from docdepth.geometry.trajectory import Trajectory
@@ -163,7 +163,6 @@ COLOR_NAMES = ("red", "green", "blue")
 
 _PATH = (0, 230, 255)
 _BACKGROUND = 24
-_NEAR = 0.1  # metres ahead of a camera; nearer points are not in front of it
 _POINT = 1 / 900  # half the side of a point, as a share of the image's width
 
 
@@ -233,15 +232,10 @@ def points_on_image(
     image : ndarray of uint8, shape (h, w, 3), optional
         BGR; without it points stand alone.
     """
-    x, y, z = transform_points(T_camera_lidar, points).T
-    ahead = z > _NEAR
-    x, y, z = x[ahead], y[ahead], z[ahead]
-    K = camera.K
-    u, v = np.rint(K[0, 0] * x / z + K[0, 2]), np.rint(K[1, 1] * y / z + K[1, 2])
-    inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    seen = transform_points(T_camera_lidar, points)
+    rows, u, v = pixels_in_image(seen, camera)
     depth = np.full((camera.height, camera.width), np.inf, np.float32)
-    rows, columns, z = v[inside].astype(int), u[inside].astype(int), z[inside].astype(np.float32)
-    np.minimum.at(depth, (rows, columns), z)
+    np.minimum.at(depth, (v, u), seen[rows, 2].astype(np.float32))
     side = max(round(_POINT * camera.width), 1)
     return overlay(spread_depth(depth, side), image, 1.0)
 

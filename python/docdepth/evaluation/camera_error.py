@@ -27,8 +27,8 @@ from docdepth.diagnostics.calibration import (
 from docdepth.diagnostics.sweeps import spread
 from docdepth.errors import CalibrationError, DatasetError, RunError
 from docdepth.evaluation.depth_metrics import RELATIVE_ERROR
-from docdepth.geometry.camera import Camera
-from docdepth.geometry.se3 import rotation_exp
+from docdepth.geometry.camera import Camera, pixels_in_image
+from docdepth.geometry.se3 import rigid, rotation_exp, transform_points
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
@@ -257,11 +257,8 @@ def changed(
     """A depth map whose points are moved, each drawn into one pixel; the nearest one shows."""
     v, u = np.nonzero(np.isfinite(depth))
     points = depth[v, u] * (np.linalg.inv(camera.K) @ np.array([u, v, np.ones(len(u))]))
-    moved = rotation_exp(change[:3]) @ points + change[3:, None]
-    moved = moved[:, moved[2] > 0]
-    pixels = np.rint((camera.K @ moved)[:2] / moved[2]).astype(np.int64)
-    inside = (pixels >= 0).all(axis=0) & (pixels < [[camera.width], [camera.height]]).all(axis=0)
-    (u, v), z = pixels[:, inside], moved[2, inside]
+    moved = transform_points(rigid(rotation_exp(change[:3]), change[3:]), points.T)
+    rows, u, v = pixels_in_image(moved, camera)
     result = np.full(depth.shape, np.inf, np.float32)
-    np.minimum.at(result, (v, u), z.astype(np.float32))
+    np.minimum.at(result, (v, u), moved[rows, 2].astype(np.float32))
     return np.where(np.isinf(result), np.float32(np.nan), result)

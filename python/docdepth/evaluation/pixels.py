@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import docdepth._core as _core
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import Camera, pixels_in_image
 from docdepth.geometry.se3 import transform_points
-from docdepth.render.depth_map import NEAR
 
 Depth = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -43,15 +42,10 @@ def project(
         Index of the point; -1 = none.
     """
     moved = transform_points(T_camera_lidar, points.astype(np.float64))
-    with np.errstate(invalid="ignore"):
-        rows = np.flatnonzero(moved[:, 2] > NEAR)
-    pixel = np.rint((moved[rows] @ camera.K.T)[:, :2] / moved[rows, 2:]).astype(np.int64)
-    inside = ((pixel >= 0) & (pixel < (camera.width, camera.height))).all(axis=1)
-    rows, pixel = rows[inside], pixel[inside]
+    rows, u, v = pixels_in_image(moved, camera)
     order = np.argsort(-moved[rows, 2], kind="stable")  # the nearest is written last
-    u, v = pixel[order].T
     row = np.full((camera.height, camera.width), -1)
-    row[v, u] = rows[order]
+    row[v[order], u[order]] = rows[order]
     return np.where(row < 0, np.nan, moved[row, 2]).astype(np.float32), row
 
 

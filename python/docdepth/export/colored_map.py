@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from docdepth.concurrency import Progress, null_progress
-from docdepth.export.posed_images import Colors, photos, write_bytes
+from docdepth.export.posed_images import Colors, photos
 from docdepth.geometry.points import STATIC
+from docdepth.io.atomic import write_atomically
 from docdepth.io.ply import write_vertices
 from docdepth.pipeline.run_reader import Run
 
@@ -53,7 +54,7 @@ def write_colored_map(run: Run, output: Path, progress: Progress = null_progress
         las.classification = np.where(static.classid < STATIC, _GROUND, _UNCLASSIFIED)
         stream = io.BytesIO()
         las.write(stream, do_compress=True)
-        write_bytes(output / "map.laz", stream.getvalue())
+        write_atomically(output / "map.laz", stream.getvalue())
     else:
         log.warning("map.laz is left out: it needs pip install 'docdepth[clouds]'")
     return len(rows)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from docdepth.concurrency import Progress, null_progress
-from docdepth.export.posed_images import write_bytes
+from docdepth.io.atomic import write_atomically
 from docdepth.pipeline.run_reader import Run
 from docdepth.render.occupancy import CORNER, DYNAMIC, FREE, GROUND, SIZE, STATIC, VOXEL
 
@@ -33,10 +33,10 @@ def write_occupancy(run: Run, output: Path, progress: Progress = null_progress) 
             instance=found.instance,
             flow=found.flow,
         )
-        write_bytes(output / name / "labels.npz", stream.getvalue())
+        write_atomically(output / name / "labels.npz", stream.getvalue())
         frames[name] = {"time": found.time, "T_world_grid": found.T_world_grid.tolist()}
         progress("convert", k + 1, len(run.sweeps))
     grid = {"voxel": VOXEL, "size": SIZE, "corner": CORNER}
     tree = {"classes": _CLASSES, "grid": grid, "frames": frames}
-    write_bytes(output / "occupancy.json", json.dumps(tree, indent=1).encode())
+    write_atomically(output / "occupancy.json", json.dumps(tree, indent=1).encode())
     return len(frames)

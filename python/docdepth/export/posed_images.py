@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from docdepth.concurrency import Progress, null_progress
 from docdepth.errors import RunError
+from docdepth.geometry.camera import pixels_in_image
 from docdepth.geometry.se3 import inverse, matrix_to_quaternion, transform_points
 from docdepth.io.atomic import write_atomically
 from docdepth.io.ply import write_vertices
@@ -57,12 +58,7 @@ def photos(run: Run, progress: Progress) -> Iterator[Photo]:
 def write_image(path: Path, pixels: NDArray[np.uint8]) -> None:
     """Write RGB (h, w, 3) or grey (h, w) as PNG."""
     stored = pixels[..., ::-1] if pixels.ndim == 3 else pixels
-    write_bytes(path, cv2.imencode(".png", np.ascontiguousarray(stored))[1].tobytes())
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a whole file."""
-    write_atomically(path, content)
+    write_atomically(path, cv2.imencode(".png", np.ascontiguousarray(stored))[1].tobytes())
 
 
 class Colors:
@@ -78,16 +74,10 @@ class Colors:
 
     def add(self, photo: Photo) -> None:
         """Look at the points in one more photo."""
-        T = inverse(photo.image.T_world_camera)
-        x, y, z = transform_points(T, self.points).T
-        ahead = np.flatnonzero(z > 0.1)
-        K = photo.image.K
-        u = np.rint(K[0, 0] * x[ahead] / z[ahead] + K[0, 2])
-        v = np.rint(K[1, 1] * y[ahead] / z[ahead] + K[1, 2])
-        height, width = photo.depth.shape
-        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-        rows, u, v = ahead[inside], u[inside].astype(int), v[inside].astype(int)
-        shown = (np.abs(photo.depth[v, u] - z[rows]) < _SAME * z[rows]) & photo.still[v, u]
+        points = transform_points(inverse(photo.image.T_world_camera), self.points)
+        rows, u, v = pixels_in_image(points, photo.image.camera)
+        z = points[rows, 2]
+        shown = (np.abs(photo.depth[v, u] - z) < _SAME * z) & photo.still[v, u]
         rows = rows[shown]
         self._seen[rows, self._count[rows] % _VIEWS] = photo.rgb[v[shown], u[shown]]
         self._count[rows] += 1
@@ -128,7 +118,7 @@ def write_nerfstudio(run: Run, output: Path, progress: Progress = null_progress)
         write_image(output / paths["mask_path"], np.where(photo.still, 255, 0).astype(np.uint8))
         depth = io.BytesIO()
         np.save(depth, np.nan_to_num(photo.depth * np.float32(_UNITS)))
-        write_bytes(output / paths["depth_file_path"], depth.getvalue())
+        write_atomically(output / paths["depth_file_path"], depth.getvalue())
         colors.add(photo)
         frames.append({
             **paths,
@@ -142,7 +132,7 @@ def write_nerfstudio(run: Run, output: Path, progress: Progress = null_progress)
     rows["red"], rows["green"], rows["blue"] = colors.rgb().T
     write_vertices(output / "points.ply", rows, ["world [m]"])
     tree = {"camera_model": "PINHOLE", "ply_file_path": "points.ply", "frames": frames}
-    write_bytes(output / "transforms.json", json.dumps(tree, indent=1).encode())
+    write_atomically(output / "transforms.json", json.dumps(tree, indent=1).encode())
     return len(frames)
 
 
@@ -192,5 +182,7 @@ def write_colmap(run: Run, output: Path, progress: Progress = null_progress) -> 
         "points3D": (len(points), points.tobytes()),
     }
     for table, (count, content) in tables.items():
-        write_bytes(output / "sparse" / "0" / f"{table}.bin", struct.pack("<Q", count) + content)
+        write_atomically(
+            output / "sparse" / "0" / f"{table}.bin", struct.pack("<Q", count) + content
+        )
     return len(image_rows)

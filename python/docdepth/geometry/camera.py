@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from hashlib import blake2b
 from operator import index
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,9 @@ from docdepth.errors import CalibrationError, InputError
 from docdepth.geometry.points import ShortRepr, float_array
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
+
+NEAREST = 0.1
+"""Points nearer to the plane of a camera are not in front of it [m]."""
 
 _WIDEST = 1 << 20  # pixels of a row or column; OpenCV reads no larger image
 _FOCAL = 1e-6, 1e6
@@ -99,6 +102,18 @@ def camera_of(K: ArrayLike, size: tuple[int, int], where: str) -> Camera:
         return Camera(np.asarray(K, np.float64), *size)
     except CalibrationError as error:
         raise CalibrationError(f"{where}: {error}") from None
+
+
+def pixels_in_image(
+    points: NDArray[np.floating[Any]], camera: Camera
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Rows of the points (N, 3) in the camera's frame that its image shows, and their u and v."""
+    with np.errstate(invalid="ignore"):
+        rows = np.flatnonzero(points[:, 2] > NEAREST)
+    pixels = np.rint((points[rows] @ camera.K.T)[:, :2] / points[rows, 2:]).astype(np.int64)
+    inside = ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=1)
+    u, v = pixels[inside].T
+    return rows[inside], u, v
 
 
 def below_horizon(camera: Camera, T_camera_lidar: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError, InputError
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import NEAREST, Camera
 from docdepth.geometry.se3 import inverse, rotation_exp
 from docdepth.geometry.track import KINDS, Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
@@ -163,8 +163,6 @@ KITTI_TRACKS = "tracks_kitti.txt"
 TYPES = {"vehicle": "Car", "person": "Pedestrian", "other": "Misc"}
 """KITTI's type of each kind of track."""
 
-_NEAR = 0.1
-"""Corners of a box that are nearer to the image plane are not projected [m]."""
 _UNKNOWN_OCCLUSION = 3
 
 
@@ -204,7 +202,7 @@ def box_in_image(
 ) -> NDArray[np.float64] | None:
     """Least and greatest u and v of the box of an object, (2, 2); None where no image shows it."""
     corners = _corners(size, T_camera_object)
-    in_front = corners[corners[:, 2] > _NEAR]
+    in_front = corners[corners[:, 2] > NEAREST]
     if not len(in_front):
         return None
     pixels = (in_front / in_front[:, 2:]) @ camera.K[:2].T
@@ -232,7 +230,7 @@ def _kitti_label(track: Track, T_camera_object: NDArray[np.float64], camera: Cam
         return ""
     length, width, height = track.size
     (low, high), last = box, _last(camera)
-    behind = (_corners(track.size, T_camera_object)[:, 2] <= _NEAR).any()
+    behind = (_corners(track.size, T_camera_object)[:, 2] <= NEAREST).any()
     truncated = int(behind or (low < 0).any() or (high > last).any())
     x, y, z = T_camera_object[:3, 3]
     forward = T_camera_object[:3, 0]

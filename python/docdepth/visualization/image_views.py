@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import NEAREST, Camera, pixels_in_image
 from docdepth.geometry.se3 import transform_points
 from docdepth.geometry.track import Track
 from docdepth.visualization.pictures import TRACK_COLORS, Picture, blended, colors_of_classes
@@ -24,7 +24,6 @@ CONFIDENCE_COLORS = cv2.applyColorMap(
 DOUBTFUL = 0.5
 """Confidence below which depth is rather wrong than right; most pixels are far above."""
 
-_NEAR = 0.1  # metres ahead of a camera; nearer points are not in front of it
 _OPACITY = 0.65  # of colours over the image
 _NO_DEPTH, _NO_INSTANCE = 255, 0  # in the layers
 
@@ -76,12 +75,9 @@ def view_of_points(
     shape = (camera.height, camera.width)
     nothing = np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.bool_)
     picture = blended(*nothing, image, _OPACITY)
-    ahead = np.flatnonzero(points[:, 2] > _NEAR)
-    u, v = np.rint(_pixels(points[ahead], camera)).T
-    inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    order = np.argsort(-points[ahead[inside], 2], kind="stable")
-    rows, columns = (of[inside][order].astype(int) for of in (v, u))
-    colors = colors_of_classes(classid[ahead[inside][order]])
+    shown, u, v = pixels_in_image(points, camera)
+    order = np.argsort(-points[shown, 2], kind="stable")
+    rows, columns, colors = v[order], u[order], colors_of_classes(classid[shown[order]])
     side = max(camera.width // 600, 1)  # pixels to either side
     # A point covers several pixels; all of a farther point are drawn before those of a nearer one.
     square = [(down, right) for down in range(-side, side) for right in range(-side, side)]
@@ -158,11 +154,11 @@ def _pixels(points: NDArray[np.floating], camera: Camera) -> NDArray[np.float64]
 def _clipped(ends: NDArray[np.float64]) -> NDArray[np.float64]:
     """The part of a line (2, 3) that lies ahead of the camera; empty where none does."""
     z = ends[:, 2]
-    if (z >= _NEAR).all():
+    if (z >= NEAREST).all():
         return ends
-    if (z < _NEAR).all():
+    if (z < NEAREST).all():
         return ends[:0]
-    behind = int(z[1] < _NEAR)
+    behind = int(z[1] < NEAREST)
     result = ends.copy()
-    result[behind] = ends[0] + (ends[1] - ends[0]) * (_NEAR - z[0]) / (z[1] - z[0])
+    result[behind] = ends[0] + (ends[1] - ends[0]) * (NEAREST - z[0]) / (z[1] - z[0])
     return result
