@@ -146,7 +146,9 @@ def as_setting(value: Any) -> str:
     """A value as :func:`parse_settings` takes it."""
     if isinstance(value, tuple | list):
         return ",".join(map(as_setting, value)) or "none"
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float) and float(f"{value:g}") == value:
+        return f"{value:g}"
+    return str(value)
 
 
 def check_key_frames(kind: str, spacing: float, radius: float) -> None:

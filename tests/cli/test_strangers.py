@@ -58,14 +58,16 @@ def test_a_recording_that_was_moved_is_asked_for_and_remembered(docdepth, copies
 
 def test_one_command_takes_back_all_changes_of_a_stage(finished):
     folder = RunFolder.open(finished[0])
-    values = replaced(folder.parameters, {"render.ahead": 700.0, "render.crop": 700.0})
+    ahead = 700.123456789  # of which no digit is lost on the way back
+    values = replaced(folder.parameters, {"render.ahead": ahead, "render.crop": 700.0})
     folder.manifest.parameters = values
     (sentence,) = changes_since_start(folder)
     was = folder.manifest.parameters_at_start.render
     assert (
-        f"render.ahead is 700.0, was {was.ahead}, render.crop is 700.0, was {was.crop}" in sentence
+        f"render.ahead is {ahead}, was {was.ahead:g}, render.crop is 700, was {was.crop:g}"
+        in sentence
     )
-    assert sentence.endswith(f"--set render.ahead={was.ahead} --set render.crop={was.crop}")
+    assert sentence.endswith(f"--set render.ahead={was.ahead:g} --set render.crop={was.crop:g}")
 
 
 def test_paragraphs_of_help_are_broken_at_the_width_of_the_terminal_alone(docdepth, monkeypatch):
