@@ -150,7 +150,8 @@ class Drive:
         """``T_scene_lidar`` (n, 4, 4) at ``seconds`` [s]: pose on the road plus a slight sway."""
         ego = self.scene.ego
         base = ego.poses(seconds)
-        sway = ego.pace.at(seconds) / (ego.pace.at(seconds) + 3.0)
+        speed = np.abs(ego.pace.at(seconds))  # negative where it reverses
+        sway = speed / (speed + 3.0)
         roll = np.radians(0.15) * sway * np.sin(2 * np.pi * 1.1 * seconds)
         pitch = np.radians(0.2) * sway * np.sin(2 * np.pi * 1.4 * seconds + 1.0)
         lift = np.repeat(np.eye(4)[None], len(seconds), axis=0)
