@@ -7,6 +7,7 @@ import pytest
 
 from docdepth.diagnostics.sweeps import find_lonely_returns, spread
 from docdepth.dynamics.classes import count_classes, find_unlikely_classes
+from docdepth.odometry.sweeps import lidar_frame
 from docdepth.pipeline.depth_files import find_empty_maps
 
 
@@ -29,7 +30,7 @@ def test_points_that_were_not_seen_from_their_origin(height, wrong):
     points += np.random.default_rng(0).normal(0, 0.02, points.shape).astype(np.float32)
     if wrong:  # and merged with another LiDAR beside it
         points = np.concatenate([points, points[:, [1, 0, 2]] + np.float32([3, 1, -1.2])])
-    found = find_lonely_returns(lambda _: points, lambda _: None, 9)
+    found = find_lonely_returns(lambda _: lidar_frame(points, np.float32(1)), 9)
     assert [f.code for f in found] == ["lonely-returns"] * wrong
 
 

@@ -90,10 +90,6 @@ def _words_and_numbers(name: str) -> list[str | Decimal]:
     return [Decimal(part) if k % 2 else part for k, part in enumerate(parts)]
 
 
-def _is_number(text: str) -> bool:
-    return text.isascii() and text.isdigit()
-
-
 def read_sweep(file: Path, where: str) -> Cloud:
     """Read all rows of a sweep."""
     rows = read_rows(file, where, _ROWS, "copy the sweep again").view("<f4").reshape(-1, 4)
@@ -127,7 +123,7 @@ def match_rows(files: Sequence[Path], count: int, table: Path, what: str) -> NDA
     """
     if count == len(files):
         return np.arange(count)
-    numbers = [int(f.stem) if _is_number(f.stem) else -1 for f in files]
+    numbers = [int(f.stem) if f.stem.isascii() and f.stem.isdigit() else -1 for f in files]
     lacking = next((k for k, n in enumerate(numbers) if not 0 <= n < count), None)
     if lacking is None:
         return np.array(numbers, dtype=np.int64)

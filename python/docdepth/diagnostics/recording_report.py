@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +25,7 @@ from docdepth.diagnostics.recording_checks import Inspection
 from docdepth.diagnostics.sweeps import check_sweeps, find_lonely_returns, find_sensor_origin
 from docdepth.errors import DocDepthError, Finding, collected, in_order
 from docdepth.geometry.ground_plane import find_ground
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry.odometry import estimate_poses
@@ -37,6 +37,7 @@ from docdepth.odometry.pose_checks import (
     find_no_motion,
 )
 from docdepth.odometry.skew import find_rotation
+from docdepth.odometry.sweeps import lidar_frame
 
 _WINDOW = 6  # sweeps that are registered with each other
 _BETTER = 1.1  # times the share of points on each other, by registration against given poses
@@ -180,16 +181,9 @@ def _look_at_poses(recording: Dataset, result: Inspection, source: str) -> None:
     if viewpoint is None:
         keys = list(result.sweeps)
         result.findings += find_lonely_returns(
-            lambda i: _usable(result.sweeps[keys[i]]),
-            lambda i: _usable_rig(result.sweeps[keys[i]]),
-            len(keys),
+            lambda i: _returns(result.sweeps[keys[i]]), len(keys)
         )
 
 
-def _usable(sweep: Sweep) -> NDArray[np.float32]:
-    return np.ascontiguousarray(sweep.points[usable_points(sweep.points)])
-
-
-def _usable_rig(sweep: Sweep) -> Any:
-    rig = sweep.sensor_rig
-    return None if rig is None else rig.select(usable_points(sweep.points))
+def _returns(sweep: Sweep) -> LidarFrame:
+    return lidar_frame(sweep, np.float32(1)).select(usable_points(sweep.points))

@@ -17,7 +17,7 @@ from docdepth.datasets import Dataset, Sweep, usable_points
 from docdepth.datasets.files import suggest_skipping
 from docdepth.datasets.sensor_pose import LEAST_IN_TRIANGLES, SensorOrigin, estimate_sensor_origin
 from docdepth.errors import DatasetError, DocDepthError, Finding, OdometryError, collected, kept
-from docdepth.geometry.lidar_frame import SensorRig
+from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.scan_mesh import share_in_triangles
 from docdepth.odometry.pose_checks import check_period
 
@@ -142,24 +142,13 @@ def check_sweep(sweep: Sweep, place: str) -> list[Finding]:
     return found
 
 
-def find_lonely_returns(
-    points: Callable[[int], NDArray[np.float32]],
-    rig: Callable[[int], SensorRig | None],
-    count: int,
-) -> list[Finding]:
+def find_lonely_returns(read: Callable[[int], LidarFrame], count: int) -> list[Finding]:
     """Whether returns lack neighbours: they were not measured from where they are seen.
 
-    Parameters
-    ----------
-    points : callable
-        Points of a sweep, float32 (N, 3). A few sweeps are asked for.
-    rig : callable
-        Where a sweep was measured from.
-    count : int
-        Number of sweeps.
+    A few of ``count`` sweeps are read, usable returns alone.
     """
-    clouds = {k: points(k) for k in spread(count, _MESHES)}
-    shares = [share_in_triangles(cloud, rig(k)) for k, cloud in clouds.items() if len(cloud)]
+    frames = map(read, spread(count, _MESHES))
+    shares = [share_in_triangles(f.points, f.sensor_rig) for f in frames if len(f)]
     if not shares or np.median(shares) >= LEAST_IN_TRIANGLES:
         return []
     return [

@@ -198,18 +198,14 @@ def _sweeps(
     if recording.name == "run":
         run = RunFolder.open(recording.path)
         require(run, "classify")
-        return _of_run(run, len(recording)), recording.poses, len(recording)
+        frames = (run.classified_frame(k)[0] for k in range(len(recording)))
+        return frames, recording.poses, len(recording)
     if recording.labels(0) is None:
         raise DatasetError(
             f"{source} has no labels of its own",
             f"find classes by `docdepth.run({str(source)!r}, RUN)`, and convert RUN",
         )
     return _of_recording(recording), recording.poses, len(recording)
-
-
-def _of_run(run: RunFolder, count: int) -> Iterator[LidarFrame]:
-    for k in range(count):
-        yield run.classified_frame(k)[0]
 
 
 def _of_recording(recording: Dataset) -> Iterator[LidarFrame]:

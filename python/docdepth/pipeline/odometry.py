@@ -75,11 +75,7 @@ def run_odometry(
             stage.remove_outdated()
             with profile.timer("check"):
                 poses = odometry.trajectory.poses
-                profile.add(
-                    find_lonely_returns(
-                        run.points, lambda i: run.deskewed(i).sensor_rig, len(dataset)
-                    )
-                )
+                profile.add(find_lonely_returns(run.deskewed, len(dataset)))
                 profile.add(find_misfit(run.points, poses, dataset.times, run.parameters.odometry))
 
 

@@ -92,11 +92,7 @@ def _read_point_cloud(message: Any, where: str) -> Cloud:
         )
     lines = data[: height * step].reshape(height, step)[:, : width * message.point_step]
     rows = np.ascontiguousarray(lines).reshape(-1).view(dtype)
-    return cloud_from_fields(rows if order == "<" else _little_endian(rows), where)
-
-
-def _little_endian(rows: NDArray[Any]) -> NDArray[Any]:
-    return rows.astype(rows.dtype.newbyteorder("<"))
+    return cloud_from_fields(rows.astype(dtype.newbyteorder("<"), copy=False), where)
 
 
 def _read_livox(message: Any, where: str) -> Cloud:
