@@ -15,7 +15,7 @@ from docdepth.geometry.camera import Camera, pixels_in_image
 from docdepth.geometry.ground_plane import GroundPlane, level_turn
 from docdepth.geometry.se3 import inverse, transform_points
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.visualization.pictures import Picture, overlay, round_length, spread_depth
+from docdepth.visualization.pictures import Picture, overlay, reduced, round_length, spread_depth
 
 _APART = 2.5  # metres between sweeps that are overlaid near each other
 _REACH = 20.0  # metres around them
@@ -104,13 +104,8 @@ def _on_image(
         points, stream.camera, stream.T_camera_lidar, stream.rectified_image(image)
         if stream.images else None,
     )  # fmt: skip
-    scale = min(1.0, _WIDEST / picture.shape[1])
-    if scale < 1:
-        picture = np.asarray(
-            cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8
-        )
     yield (
-        picture,
+        reduced(picture, _WIDEST / picture.shape[1]),
         f"{stream.name}: points of frame {frame} on image {stream.names[image]}, taken "
         f"{1000 * late:.0f} ms after its stamp{moved}",
     )

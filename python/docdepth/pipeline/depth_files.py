@@ -162,7 +162,7 @@ class DepthFiles:
             if what == "report":
                 with suggest_skipping():
                     image = self.stream.rectified_image(index)
-                content = encode_image(overlay(depth, image), ".jpg")
+                content = encode_jpeg(overlay(depth, image))
             elif what == "layers":
                 content = npz_bytes(compressed=True, **layers)
             else:
@@ -210,10 +210,9 @@ def _share_with_depth(depth: NDArray[np.float32]) -> float:
     return float(np.isfinite(depth).mean())
 
 
-def encode_image(image: NDArray[np.uint8], suffix: str) -> bytes:
-    """The content of a JPEG or PNG file with this image."""
-    _, encoded = cv2.imencode(suffix, image, [cv2.IMWRITE_JPEG_QUALITY, 90])
-    return encoded.tobytes()
+def encode_jpeg(image: NDArray[np.uint8]) -> bytes:
+    """The content of a JPEG file with this image."""
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes()
 
 
 def find_empty_maps(coverage: Sequence[float], camera: str) -> list[Finding]:

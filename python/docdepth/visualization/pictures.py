@@ -84,6 +84,14 @@ def colorize(
     return draw_bar(colors, near, far) if bar else colors
 
 
+def reduced(picture: Picture, scale: float) -> Picture:
+    """A picture made smaller; as it is where the scale is 1 or more."""
+    if scale >= 1:
+        return picture
+    small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.uint8)
+
+
 def spread_depth(depth: NDArray[np.float32], side: int) -> NDArray[np.float32]:
     """Sparse depth with each value over so many pixels to each side, the nearest on top."""
     near = np.where(np.isfinite(depth), depth, np.float32(np.inf))

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from docdepth.datasets.base import CameraStream
@@ -18,7 +17,7 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.io.untrusted import read_layers
 from docdepth.visualization.image_views import draw_tracks, photo_of, view_of_layer, view_of_points
 from docdepth.visualization.page import Leaf, embedded, embedded_depth
-from docdepth.visualization.pictures import Picture, colorize
+from docdepth.visualization.pictures import Picture, colorize, reduced
 
 IMAGES = 12
 """Of a camera within the page, spaced evenly over the drive, fewer where there are many cameras."""
@@ -108,7 +107,4 @@ def _pictures(
 
 
 def _reduced(picture: Picture) -> Picture:
-    scale = (_LARGEST / (picture.shape[0] * picture.shape[1])) ** 0.5
-    if scale >= 1:
-        return picture
-    return np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+    return reduced(picture, (_LARGEST / (picture.shape[0] * picture.shape[1])) ** 0.5)
