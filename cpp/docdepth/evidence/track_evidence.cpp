@@ -199,7 +199,7 @@ int TrackEvidence::first_over(const Detection& object, const Occupancy& occupanc
   if (occupancy.from_begin) return 0;
   const auto& observations = object_.track.observations;
   for (std::size_t n = 0; n < observations.size(); ++n)
-    if (lies_over(n, object, occupancy, share)) return int(observations[n].sweep);
+    if (lies_over(n, object, share)) return int(observations[n].sweep);
   return sweeps_;
 }
 
@@ -209,21 +209,17 @@ int TrackEvidence::last_over(const Detection& object, const Occupancy& occupancy
   if (occupancy.to_end) return sweeps_;
   const auto& observations = object_.track.observations;
   for (std::size_t n = observations.size(); n-- > 0;)
-    if (lies_over(n, object, occupancy, share)) return int(observations[n].sweep);
+    if (lies_over(n, object, share)) return int(observations[n].sweep);
   return -1;
 }
 
-/// By how far it is from there, or by its box. But what is wider than a vehicle was seen together
-/// with something that stood beside it, and only its box at that time tells what it covers. Points
-/// crowd where an object is near, samples do not: half of the share is asked of them.
+/// What is wider than a vehicle was seen together with something that stood beside it, and only its
+/// box at that time tells what it covers. Points crowd where an object is near, samples do not:
+/// half of the share is asked of them.
 bool TrackEvidence::lies_over(std::size_t observation, const Detection& object,
-                              const Occupancy& occupancy, double share) const {
+                              double share) const {
   const double time = stamps_[observation];
-  const Vector size = object_.path.extent().size();
-  const bool is_one = size.y() <= kMaxVehicleWidth;
-  const double away = (object_.path.pose(time).translation() - occupancy.place).norm();
-  if (is_one && away <= std::max((1 - share) * size.head<2>().norm(), double(kSamePlace)))
-    return true;
+  const bool is_one = object_.path.extent().size().y() <= kMaxVehicleWidth;
   const OrientedBox box = is_one ? object_.path.whole_box(time) : object_.path.box(time);
   const auto& samples = object.samples();
   const auto inside = [&](const Vector& p) { return box.contains(p, kSearchMargin); };

@@ -64,8 +64,7 @@ class TrackEvidence {
   const Occupancy& occupancy_at(const Eigen::Vector3d& place);
   int first_over(const Detection& object, const Occupancy& occupancy, double share) const;
   int last_over(const Detection& object, const Occupancy& occupancy, double share) const;
-  bool lies_over(std::size_t observation, const Detection& object, const Occupancy& occupancy,
-                 double share) const;
+  bool lies_over(std::size_t observation, const Detection& object, double share) const;
 
   ObjectTrack object_;
   std::uint32_t number_;

@@ -80,8 +80,8 @@ TEST_CASE("what moves is not thin and porous, or goes far") {
   const auto fence_moves_if = [](float porous, float transient, float free) {
     return moves_if(porous, transient, free, 10, 0, 0.21f);
   };
-  CHECK(fence_moves_if(0.02f, 0.6f, 0.1f));
-  CHECK(fence_moves_if(0.32f, 0.6f, 0.1f));
+  CHECK(fence_moves_if(0.02f, 0.6f, 0.2f));
+  CHECK(fence_moves_if(0.32f, 0.6f, 0.2f));
   CHECK_FALSE(fence_moves_if(0.7f, 0.75f, 0.2f));    // pickets
   CHECK_FALSE(fence_moves_if(0.82f, 0.93f, 0.08f));  // a piece of a fence, by 128 beams
   CHECK_FALSE(fence_moves_if(0.45f, 0.44f, 0.17f));  // a fence of KITTI 0013
@@ -90,6 +90,21 @@ TEST_CASE("what moves is not thin and porous, or goes far") {
   CHECK(moves_if(0.66f, 0.55f, 0.11f, 20));       // a lorry with its trailer, several lengths on
   CHECK(moves_if(0.78f, 0.32f, 0.11f, 20, 2.5));  // its tractor, hidden at first
   CHECK_FALSE(moves_if(0.78f, 0.32f, 0.11f, 20, 2.85));  // hidden nearly all the way
+}
+
+TEST_CASE("what moves goes through places that were free before or after") {
+  const auto moves_if = [](float porous, float transient, float free, double distance) {
+    return ::moves_if(porous, transient, free, distance, 0, 0.45f);
+  };
+  // A metre or more, where few of them were.
+  CHECK(moves_if(0.6f, 0.28f, 0.22f, 3.7));        // somebody in single file, by 32 beams
+  CHECK(moves_if(0.03f, 0.26f, 0.26f, 4.3));       // somebody at 60 to 88 m, by 64 beams
+  CHECK_FALSE(moves_if(0.56f, 0.49f, 0.03f, 18));  // a fence and a wall behind it, by 16 beams
+  CHECK_FALSE(moves_if(0.1f, 0.09f, 0.01f, 30));   // a hedge of KITTI 0013
+  // Half a metre, where most of them were.
+  CHECK(moves_if(0.01f, 0.98f, 0.96f, 0.7));
+  CHECK_FALSE(moves_if(0.01f, 0.98f, 0.4f, 0.7));
+  CHECK_FALSE(moves_if(0.01f, 0.98f, 0.96f, 0.4));
 }
 
 TEST_CASE("a car that moves at some time is known before and after, where it stands") {
@@ -126,6 +141,17 @@ TEST_CASE("what a track was not followed through must lie in its box, and have b
   CHECK(!makes_dynamic(evidence(), 1, seen_at(10, 0, 0.3f, 30, 60), false));  // where it goes later
   CHECK(makes_dynamic(evidence(), 5, seen_at(10, 0, 0.3f, 28, 60), false));
   CHECK(!makes_dynamic(evidence(), 5, seen_at(0, 0, 0.3f, 0, 60), false));  // where it was before
+}
+
+TEST_CASE("a sign above the street that a car starts from is none of the car") {
+  const TrackEvidence of{car(0.3f, 3), 1, exact::stamps(kSweeps), {}};
+  // There all the time, as the car is.
+  Detection seen = seen_at(place(2.5, 3), 0, 0, 0, int(kSweeps) - 1);
+  CHECK(makes_dynamic(of, 2.5, seen));
+  const Eigen::Vector3f up(0, 0, 2.5f);
+  seen.box = seen.box.moved(up);
+  for (Eigen::Vector3f& sample : seen.surface.points) sample += up;
+  CHECK(!makes_dynamic(of, 2.5, seen));
 }
 
 TEST_CASE("what is dynamic already is left as it is") {
