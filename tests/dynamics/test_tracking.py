@@ -371,7 +371,7 @@ def test_what_no_track_follows_stands_among_things_that_stand():
     The fifth is of those that no track follows.
 
     So does ground that no more than twice as many key frames found free as occupied. Forty points
-    in half a metre move whose places more than twice as many key frames found free.
+    in half a metre move whose places more than three times as many key frames found free.
     """
     rng = np.random.default_rng(0)
     points = rng.uniform(-30, 30, (6000, 3)).astype(np.float32)
@@ -398,7 +398,7 @@ def test_what_no_track_follows_stands_among_things_that_stand():
         loose = near & ((classid < 100) | untracked)
         is_porous = 5 * np.count_nonzero(loose & porous) > np.count_nonzero(loose)
         beside = untracked & (np.floor(points / 0.5) == np.floor(points[i] / 0.5)).all(1)
-        clear = votes.dynamic[beside].sum(dtype=int) > 2 * votes.static[beside].sum(dtype=int)
+        clear = votes.dynamic[beside].sum(dtype=int) > 3 * votes.static[beside].sum(dtype=int)
         is_dense = np.count_nonzero(beside) >= 40 and clear
         stands = is_porous or 2 * stand > np.count_nonzero(near)
         dense += stands and is_dense and not doubtful

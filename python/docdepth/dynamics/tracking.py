@@ -59,17 +59,20 @@ MIN_DYNAMIC_SHARE = 0.5
 """Where less of what was found free is dynamic, what no track follows stands [-]."""
 
 MIN_FREE_RATIO = 2
-"""What no track follows is clearly free where more than so many times as many key frames found its
-place free as occupied [-]. Ground moves only there: a whole car may be taken for ground; but of the
-ground itself, seen at a flat angle, many key frames seem to look under it."""
+"""Ground that no track follows moves only where more than so many times as many key frames found
+its place free as occupied [-]: a whole car may be taken for ground; but of the ground itself, seen
+at a flat angle, many key frames seem to look under it."""
 
 _CELL = 2.0
 """What is around a point is told by cells of this edge, its own and those beside it [m]."""
 
 _DENSE_CELL = 0.5
 _MIN_DENSE = 40
-"""So many points in a cell of this edge [m] that are clearly free together move, whatever is around
-them: somebody who walks along parked cars is one object with them, and no track follows him."""
+_DENSE_FREE_RATIO = 3
+"""So many points in a cell of this edge [m] move, whatever is around them, if together more than so
+many times as many key frames found their places free as occupied: somebody who walks along parked
+cars is one object with them, and no track follows him. Of panels of fences up to 2.4 times as many
+did [-]."""
 
 _MEMBER = np.dtype([("first", "u4"), ("track", "u4"), ("is_dynamic", "u4")])
 _BOX = np.dtype(
@@ -326,7 +329,7 @@ def withdraw_untracked(
         _cell_keys(points[rows], _DENSE_CELL), return_inverse=True, return_counts=True
     )
     dynamic, static = np.bincount(cell, votes.dynamic[rows]), np.bincount(cell, votes.static[rows])
-    is_dense = ((size >= _MIN_DENSE) & (dynamic > MIN_FREE_RATIO * static))[cell]
+    is_dense = ((size >= _MIN_DENSE) & (dynamic > _DENSE_FREE_RATIO * static))[cell]
     is_doubtful = (among_porous | among_static) & ~is_dense
     stands = rows[is_doubtful | (ground[rows] & ~is_clear)]
     classid = classid.copy()
