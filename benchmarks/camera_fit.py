@@ -33,14 +33,17 @@ MOST = np.radians(0.5), 0.05, 0.02  # turn [rad], shift [m] and time [s]
 IMAGES = 40
 
 
-def edges_of(path: Path, camera: str | None) -> RunEdges:
+def edges_of(path: Path, camera: str | None) -> tuple[RunEdges, float]:
+    """Depth edges of a run, and the path along which its images were taken [m]."""
     run = RunFolder.open(path)
     stream, maps = images_and_maps(run, camera, "compare depth with")
     drawn = [k for k, name in enumerate(stream.names) if name in maps]
-    return edges_of_images(
+    trajectory = run.trajectory()
+    found = edges_of_images(
         path, stream, drawn, lambda k: read_depth(maps[stream.names[k]]),
-        run.trajectory(), tracks_in(path), most=IMAGES,
+        trajectory, tracks_in(path), most=IMAGES,
     )  # fmt: skip
+    return found, float(np.ptp(trajectory.arc_length_at(stream.times[drawn])))
 
 
 def made_up(rng: np.random.Generator) -> Floats:
@@ -69,27 +72,26 @@ def with_error(found: RunEdges, change: Floats) -> RunEdges:
     return replace(found, edges=edges)
 
 
-def trials(found: RunEdges, count: int, relative: bool) -> tuple[str, ...]:
+def trials(found: RunEdges, path: float, count: int, relative: bool) -> tuple[str, ...]:
     """A row: the given camera, then how many were changed, and RMS pixels of its edges."""
     rng = np.random.default_rng(0)
-    given = fit_camera(found)
-    if given is None:
-        return "too few images", *["-"] * 5
-    right = given.fit.change if relative else np.zeros(7)
+    given = fit_camera(found, path)
+    right = given.fit.change if relative and given is not None else np.zeros(7)
     before, left, refused = [], [], []
     for _ in range(count):
         change = made_up(rng)
         wrong = with_error(found, change)
-        fit = fit_camera(wrong)
+        fit = fit_camera(wrong, path)
         off = wrong.seen.moved(change + right)
         if fit is None or not fit.is_sure:
             refused.append(off)
             continue
         before.append(off)
         left.append(wrong.seen.moved(change + right - fit.fit.change))
-    pixels = found.seen.moved(given.fit.change)
+    applied = given is not None and given.is_sure
+    pixels = 0.0 if given is None else found.seen.moved(given.fit.change)
     return (
-        f"{pixels:.2f} {'applied' if given.is_sure else 'left'}",
+        f"{pixels:.2f} {'applied' if applied else 'left'}",
         f"{len(left)}/{count}",
         *(f"{f(v):.2f}" if v else "-" for f, v in ((np.median, before), (np.median, left))),
         f"{max(left):.2f}" if left else "-",
@@ -107,7 +109,7 @@ def main() -> None:
     rows = []
     for path in args.runs:
         found = edges_of(path, args.camera)
-        rows.append((path.name, *trials(found, args.trials, args.relative)))
+        rows.append((path.name, *trials(*found, args.trials, args.relative)))
     header = "run", "as given, px", "changed", "px before", "left", "most", "px where refused"
     publish([Table("Cameras with made-up errors", header, tuple(rows))], args.results)
 

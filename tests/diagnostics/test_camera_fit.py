@@ -70,6 +70,23 @@ def test_a_wrong_one_is_found(turn_deg, shift, late_ms) -> None:
     assert given.seen.moved(left) < 0.5
 
 
+def test_along_a_short_path_a_pan_is_found_and_nothing_else() -> None:
+    """Upper edges may lie at the same beam in all images; left and right edges do not."""
+    motions, right, pan = driving(), np.zeros(6), np.radians([0, 0.3, 0, 0, 0, 0])
+    found = fit_camera(made([pan] * IMAGES, motions), path=20.0)
+    assert found is not None
+    assert found.is_sure
+    assert found.fit.turn_deg == pytest.approx([0, 0.3, 0], abs=0.03)
+    assert not found.fit.change[[0, 2, 3, 4, 5, 6]].any()
+    for other in (
+        right,
+        pan / 8,
+        np.radians([0.3, 0, 0, 0, 0, 0]),
+        np.radians([0, 0, 0.5, 0, 0, 0]),
+    ):
+        assert fit_camera(made([other] * IMAGES, motions), path=20.0) is None
+
+
 def test_halves_that_disagree_change_nothing() -> None:
     turn = np.radians([0, 0.3, 0, 0, 0, 0])
     found = fit_camera(made([turn] * (IMAGES // 2) + [-turn] * (IMAGES // 2), driving()))

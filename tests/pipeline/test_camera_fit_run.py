@@ -81,9 +81,8 @@ def test_calibrate_writes_the_camera_that_images_ask_for(
 ) -> None:
     for name in ("_FEWEST_IMAGES", "_FEWEST_EDGES"):
         monkeypatch.setattr(calibration, name, 3)
-    monkeypatch.setattr(camera_error, "LEAST_PATH", 0.0)
     for gain, wanted in ((1.0, {".jpg"}), (4.0, {".jpg", ".json", ".txt", ".yaml"})):
-        monkeypatch.setattr(camera_error, "fit_camera", lambda _, gain=gain: asks(gain))
+        monkeypatch.setattr(camera_error, "fit_camera", lambda *_, gain=gain: asks(gain))
         ended = cli("calibrate", finished[0], "-o", tmp_path / "fitted")
         assert ended.exit_code == 0, ended.output
         assert {file.suffix for file in (tmp_path / "fitted").iterdir()} == wanted
@@ -99,18 +98,16 @@ def test_calibrate_writes_the_camera_that_images_ask_for(
 
 def test_the_maps_that_were_drawn_are_looked_at(drive, tmp_path: Path, monkeypatch) -> None:
     """The fit gets the edges of the run's own maps, of images from places apart."""
-    seen: list[RunEdges] = []
-    monkeypatch.setattr(camera_fit, "LEAST_PATH", 1.0)
-    monkeypatch.setattr(camera_fit, "fit_camera", seen.append)
+    seen: list[tuple[RunEdges, float]] = []
+    monkeypatch.setattr(camera_fit, "fit_camera", lambda *given: seen.append(given))
     docdepth.run(drive, tmp_path / "run", poses="dataset")
-    (found,) = seen
+    ((found, path),) = seen
     assert 2 <= len(found.names) <= 5
     for name, edges in zip(found.names, found.edges, strict=True):
         depth = read_depth(tmp_path / "run" / "depth" / f"{name}.png")
         drawn = edges_of_map(depth, focal=found.stream.camera.K[1, 1])
         assert len(edges)
         assert {tuple(pixel) for pixel in edges.pixels} <= {tuple(pixel) for pixel in drawn.pixels}
-    # Most drives are shorter than what is asked for: nothing is looked at.
-    monkeypatch.setattr(camera_fit, "LEAST_PATH", 1000.0)
-    docdepth.run(drive, tmp_path / "short", poses="dataset")
-    assert len(seen) == 1
+    trajectory = RunFolder.open(tmp_path / "run").trajectory()
+    times = found.stream.times[np.isin(found.stream.names, found.names)]
+    assert path >= np.ptp(trajectory.arc_length_at(times)) > 0

@@ -124,7 +124,7 @@ class FittedCamera:
     Attributes
     ----------
     fit : CameraFit, optional
-        With fits without each quarter of the drive; None where images are too few.
+        With fits without each eighth of the drive; None where these cannot tell.
     stream : CameraStream
         The camera as the images want it; as the run has it where that is not sure.
     """
@@ -142,10 +142,12 @@ class FittedCamera:
     def lines(self) -> list[str]:
         """What was found, in words."""
         if self.fit is None:
-            said = f"a fit needs ten images or more along {LEAST_PATH:g} m; here are fewer"
+            said = (
+                f"a fit needs ten images or more, and along less than {LEAST_PATH:g} m a clear pan"
+            )
         else:
             moved = f"edges move by {self.fit.moved_deg:.2f} +- {self.fit.error_deg:.2f} degrees"
-            sure = f"{moved} when {self.fit.change}; each quarter of the drive confirms the others"
+            sure = f"{moved} when {self.fit.change}; each eighth of the drive confirms the others"
             said = sure if self.is_changed else f"{moved} by a fit: nothing to change that is sure"
         return [*self.check.lines, said]
 
@@ -180,7 +182,7 @@ def fit_calibration(
     check, stream = compare(found), found.stream
     trajectory = RunFolder.open(run).trajectory()
     times = stream.times[np.isin(stream.names, found.names)]
-    fit = fit_camera(found) if np.ptp(trajectory.arc_length_at(times)) >= LEAST_PATH else None
+    fit = fit_camera(found, float(np.ptp(trajectory.arc_length_at(times))))
     if fit is not None and fit.is_sure:
         stream = fitted(stream, stored_fit(fit, applied=True))
     return FittedCamera(check, fit, stream)

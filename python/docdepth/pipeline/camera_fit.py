@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets.base import CameraStream, Dataset
 from docdepth.diagnostics.calibration import RunEdges, change_in_words, edges_of_images
-from docdepth.diagnostics.edge_fit import EdgeFit, fit_edges
+from docdepth.diagnostics.edge_fit import EdgeFit, ImageEdges, fit_edges
 from docdepth.errors import Finding, log_findings
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.manifest import StoredCameraFit
@@ -22,7 +22,7 @@ from docdepth.pipeline.render import report
 
 log = logging.getLogger(__name__)
 
-_VERSION = 6  # counted up when the same images ask for another change
+_VERSION = 7  # counted up when the same images ask for another change
 FITTED_IMAGES = 40
 """Images to which a camera is fitted, evenly along the path."""
 
@@ -109,26 +109,30 @@ def _fit(run: RunFolder, stream: CameraStream, progress: Progress) -> CameraFit 
     maps = maps_in(run.path / "depth" / run.cameras[stream.name].folder)
     drawn = [k for k, name in enumerate(stream.names) if name in maps]
     trajectory = run.trajectory()
-    if not drawn or np.ptp(trajectory.arc_length_at(stream.times[drawn])) < LEAST_PATH:
+    if not drawn:
         return None
+    path = float(np.ptp(trajectory.arc_length_at(stream.times[drawn])))
     found = edges_of_images(
         run.path, stream, drawn, lambda k: read_depth(maps[stream.names[k]]),
         trajectory, tracks_in(run.path), progress, FITTED_IMAGES,
     )  # fmt: skip
-    return fit_camera(found)
+    return fit_camera(found, path)
 
 
 Floats = NDArray[np.float64]
 
 LEAST_PATH = 60.0
-"""Path along which the images were taken [m]. The parts of a shorter drive see the same street,
-and have agreed on turns of 0.6 degrees that were wrong."""
+"""Path along which the images were taken [m]. The parts of a shorter drive see the same street, and
+have agreed on a roll of 0.6 degrees that was wrong: along it upper edges lie at the same beam in
+all images. Left and right edges do not, so there a pan may be found."""
 
 _FEWEST_IMAGES = 10
 _LEAST_MOVED_DEG = 0.04  # half a pixel of most cameras; smaller changes are not applied
 _PARTS = 8  # of the drive, each of which is left out once; of four the error is half chance
 _EVERY = 4  # edges of an image that are used: next to each other they err alike
 _TURN_AND_TIME = np.array([True] * 3 + [False] * 3 + [True])
+_PAN = np.arange(7) == 1
+_LEAST_PAN_DEG = 0.1  # along a short path; right cameras have seemed to be off by 0.07
 _LEAST_SCORE = 1.2  # right ones reach 1.4 to 2.2, another drive's images 1.0 to 1.1
 _ERRORS = 3.0  # standard errors by which displacement and gain exceed zero
 _MOST_ERROR_DEG = 0.1  # right ones reach 0.02 to 0.08; 0.3 and more where two changes fit alike
@@ -161,31 +165,51 @@ class CameraFit:
         return change_in_words(self.fit, np.ones(7, np.bool_))
 
 
-def fit_camera(found: RunEdges) -> CameraFit | None:
+def fit_camera(found: RunEdges, path: float = np.inf) -> CameraFit | None:
     """Fit a camera to the images of a run, and again without each eighth of the drive.
 
     Turn, place and time are fitted together. Seen from a few metres a turn looks like a shift, so
-    each part by itself is less sure than where the edges lie. None where images are too few.
+    each part by itself is less sure than where the edges lie. Along a short path [m] only a pan is
+    fitted. None where images are too few, or a clear pan is not what they ask for.
     """
     if not found.enough or len(found.edges) < _FEWEST_IMAGES:
         return None
     every, images = found.with_each(_EVERY).seen, np.arange(len(found.edges))
     whole = fit_edges(every, near=fit_edges(every, _TURN_AND_TIME))
+    free = None if path >= LEAST_PATH else _PAN
+    if free is not None:
+        asked, whole = whole.change, fit_edges(every, free)
+        if not _explains(every, whole.change, asked):
+            return None
     gains, changes = [], []
     for part in np.array_split(images, _PARTS):
         rest, own = every.some(np.setdiff1d(images, part)), every.some(part)
         if not any(map(len, rest.edges)) or not any(map(len, own.edges)):
             return None
-        fit = fit_edges(rest, near=whole)
+        fit = fit_edges(rest, free, near=whole)
         gains.append(own.gains(fit))
         changes.append(fit.change)
     differ = [every.moved(change) for change in np.array(changes) - np.mean(changes, axis=0)]
     error = np.sqrt((_PARTS - 1) * np.mean(np.square(differ)))
     gain = np.concatenate(gains)
-    degrees = float(np.degrees(1 / found.stream.camera.K[0, 0]))
     return CameraFit(
         whole,
-        degrees * every.moved(whole.change),
-        degrees * float(error),
+        _degrees(every, every.moved(whole.change)),
+        _degrees(every, float(error)),
         float(gain.mean() / (gain.std(ddof=1) / np.sqrt(len(gain)) + 1e-9)),
     )
+
+
+def _explains(every: ImageEdges, pan: Floats, asked: Floats) -> bool:
+    """Whether a clear pan takes edges most of the way to the right or left that is asked for.
+
+    Else it stands in for a roll or a shift.
+    """
+    to_right = np.concatenate(every.rows)[:, 0]
+    left = np.sum((to_right @ (asked - pan)) ** 2)
+    clear = _degrees(every, every.moved(pan)) > _LEAST_PAN_DEG
+    return bool(clear and 2 * left < np.sum((to_right @ asked) ** 2))
+
+
+def _degrees(every: ImageEdges, pixels: float) -> float:
+    return pixels * float(np.degrees(1 / every.camera.K[0, 0]))
