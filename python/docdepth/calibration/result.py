@@ -70,6 +70,15 @@ def write_result(
     ----------
     folder : Path
         Created if it is not there.
+    name : str
+        Of the camera.
+    pairs : sequence of BoardPair
+        With their images.
+
+    Raises
+    ------
+    OSError
+        The folder cannot be written.
     """
     lens = found.lens
     folder.mkdir(parents=True, exist_ok=True)

@@ -235,6 +235,8 @@ def difference(
         Metres along the optical axis; NaN without depth.
     change : ndarray of float64, shape (6,)
         Of points in the camera's frame: turn about its axes x, y, z [rad], then shift [m].
+    max_depth : float
+        [m]
 
     Returns
     -------

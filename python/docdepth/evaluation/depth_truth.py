@@ -75,6 +75,11 @@ class DepthTruth:
         which hold maps of some images.
     depth_folder : str
         Of the camera, in ``depth/`` of the run.
+
+    Attributes
+    ----------
+    maps : dict of str to Path
+        Depth maps of the run that have a true one.
     """
 
     def __init__(self, folder: Path, run: RunFolder, depth_folder: str) -> None:

@@ -132,6 +132,8 @@ class DepthPage(ErrorPage):
     ----------
     max_range : float
         Pixels with a larger true depth are not compared [m].
+    stream : CameraStream, optional
+        The camera, whose photos are shown beside.
     """
 
     def __init__(self, title: str, max_range: float, stream: CameraStream | None) -> None:
@@ -166,8 +168,12 @@ class HeldOutPage(ErrorPage):
     ----------
     max_range : float
         Returns that are farther are not shown [m].
+    left_out : str
+        What was left out, in words.
     stream : CameraStream, optional
         The camera, whose photo nearest in time is shown beside, for orientation.
+    times : ndarray of int64, shape (n,)
+        Of the sweeps [ns].
     """
 
     def __init__(

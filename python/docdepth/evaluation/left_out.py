@@ -167,6 +167,11 @@ def between_sides(points: NDArray[np.float32], view: LidarView) -> NDArray[np.bo
     """Which points lie, as a LiDAR sees them, in a triangle over a depth jump of its sweep, (N,).
 
     Or half a pixel of a camera beside it: a pixel shows what its middle meets.
+
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+        LiDAR frame of the sweep [m].
     """
     corners, mesh = _mesh(view)
     directions = _directions(corners)[mesh.triangles[mesh.discontinuity].astype(np.int64)]

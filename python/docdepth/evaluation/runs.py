@@ -49,6 +49,8 @@ def evaluate_labels(
 
     Parameters
     ----------
+    run : Path, str or RunFolder
+        Run folder with classified frames.
     labels : Path
         Folder of ``NAME.label`` files, or its parent with a folder ``labels``. A folder ``speeds``
         beside it (``NAME.npy``, speed of each point in m/s) separates standing from moving objects.
@@ -93,6 +95,8 @@ def evaluate_tracks(
 
     Parameters
     ----------
+    run : Path, str or RunFolder
+        Run folder with classified frames.
     labels : Path
         Folder of ``NAME.label`` files with instances, or its parent with a folder ``labels``. A
         folder ``speeds`` beside it tells which objects travel, ``poses.txt`` the true poses.
@@ -159,6 +163,8 @@ def evaluate_depth(
 
     Parameters
     ----------
+    run : Path, str or RunFolder
+        Run folder with depth maps.
     depth : Path
         Folder of depth maps in any format, or its parent with a folder ``depth_2``. A folder
         ``class_2`` beside it marks the pixels of moving objects. Or a drive of KITTI's depth

@@ -148,7 +148,12 @@ class Track:
 
 
 class Tracks(Mapping[int, Track]):
-    """The tracks of a drive by id. Those of a time are found without looking at the others."""
+    """The tracks of a drive by id. Those of a time are found without looking at the others.
+
+    Attributes
+    ----------
+    ids : ndarray of uint16, shape (n,)
+    """
 
     def __init__(self, tracks: Iterable[Track] | Tracks = ()) -> None:
         every = tracks.values() if isinstance(tracks, Tracks) else tracks
