@@ -21,7 +21,7 @@ from docdepth.geometry.trajectory import Trajectory
 NEVER = 65535
 """Stands for a key frame where there was none."""
 
-MAX_STATIC_RATIO = 8
+MAX_STATIC_RATIO = int(_core.ClassificationOptions().max_static_ratio)
 """A place was free only if fewer than so many times as many key frames found it occupied [-]. Of
 the leaves of a tree that sixteen beams see, one ray in ten or more passes through."""
 

@@ -29,7 +29,7 @@ WIDENING = 0.2
 narrower [-]. Half of it is too much: a beam returns from what gives the stronger echo, not from the
 nearer thing, and other sweeps see other parts of an edge."""
 
-MIN_FREE_RATIO = 2
+DUST_FREE_RATIO = 2
 """Triangles: a static return that belongs to no triangle is not drawn where more than so many times
 as many key frames found its place free as occupied [-]: dust, rain, an insect."""
 
@@ -195,7 +195,7 @@ def _in_passing(frame: LidarFrame) -> NDArray[np.bool_]:
     """Which static points lie where the air is free but for a moment, by the votes of a run."""
     if frame.votes_static is None or frame.votes_dynamic is None:
         return np.zeros(len(frame), np.bool_)
-    free = frame.votes_dynamic > MIN_FREE_RATIO * frame.votes_static.astype(np.int64)
+    free = frame.votes_dynamic > DUST_FREE_RATIO * frame.votes_static.astype(np.int64)
     return np.asarray(free & (frame.classes < DYNAMIC))
 
 
