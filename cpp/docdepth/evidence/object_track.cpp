@@ -9,8 +9,8 @@ namespace {
 
 /// While an object moves, this share of its area was free before or after. A fence of which each
 /// sweep hits other slats seems to go along with the LiDAR, too, but slats stand at its places
-/// before and after: 0.07 of it are free at most, of people who walk in single file 0.17 and more.
-constexpr float kMovingFreeShare = 0.15f;
+/// before and after: 0.07 of it are free at most, of people who walk in single file 0.14 and more.
+constexpr float kMovingFreeShare = 0.12f;
 /// Where this share is transient, the object moves in any case: of sparse ones it is not known
 /// which places were free (kMaxIsolatedShare).
 constexpr float kSurelyTransientShare = 0.99f;
