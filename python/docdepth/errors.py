@@ -174,7 +174,7 @@ class SeveralProblems(DatasetError, CalibrationError):
 
 
 @contextmanager
-def kept(errors: list[DocDepthError]) -> Iterator[None]:
+def collect_errors(errors: list[DocDepthError]) -> Iterator[None]:
     """Add an error that is raised inside to others, unless it is known, and go on.
 
     So all problems of the inputs are told together.
@@ -201,7 +201,7 @@ def raise_together(errors: Iterable[DocDepthError]) -> None:
 
 
 @contextmanager
-def collected(findings: list[Finding]) -> Iterator[None]:
+def collect_findings(findings: list[Finding]) -> Iterator[None]:
     """Add an error that is raised inside to findings, and go on."""
     try:
         yield

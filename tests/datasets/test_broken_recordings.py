@@ -20,7 +20,7 @@ from docdepth.errors import (
     DatasetError,
     DocDepthError,
     SeveralProblems,
-    kept,
+    collect_errors,
     raise_together,
 )
 
@@ -70,11 +70,11 @@ def test_all_problems_of_a_raw_drive_are_told_together(tmp_path: Path) -> None:
 def test_errors_of_docdepth_alone_are_kept() -> None:
     problems: list[DocDepthError] = []
     for text in ("first", "second", "first"):
-        with kept(problems):
+        with collect_errors(problems):
             raise ConfigError(text)
     with pytest.raises(SeveralProblems, match=r"^2 problems:\n  first\n  second$"):
         raise_together(problems)
-    with pytest.raises(ZeroDivisionError), kept(problems):
+    with pytest.raises(ZeroDivisionError), collect_errors(problems):
         raise ZeroDivisionError
     raise_together([])
 

@@ -140,11 +140,6 @@ def _read_text(file: Path, where: str, rows: RowFormat) -> Cloud:
         if twice := next((name for name in names if name != "_" and names.count(name) > 1), None):
             raise DatasetError(f"{where} has two columns {twice}; say columns in docdepth.yaml")
         rows = RowFormat(tuple(names))
-        if not {"x", "y", "z"} <= set(names):
-            raise DatasetError(
-                f"{where} has no columns x, y and z, only {', '.join(names)}; say columns in "
-                "docdepth.yaml"
-            )
     return cloud_from_fields(_named(table, rows, where), where)
 
 

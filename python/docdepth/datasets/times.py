@@ -20,7 +20,8 @@ _UNITS = {19: 1, 16: 10**3, 13: 10**6, 10: 10**9}
 """Nanoseconds of one count, by the digits of a time since 1970."""
 _SECONDS = re.compile(r"(?<!\d)([1-9]\d{9})[._](\d{1,9})$")
 _PLAIN = re.compile(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?")
-_TABLES = ("times.txt", "timestamps.txt")
+TABLES = ("times.txt", "timestamps.txt")
+"""Where times stand if nothing else is said."""
 
 
 def read_times(path: Path) -> NDArray[np.int64]:
@@ -114,8 +115,8 @@ def times_of_files(
         return read_times_of(files, folder / str(table), "times", remedy)
     if table is None:
         near = files[0].parent
-        places = [near / name for name in _TABLES]
-        places += [near.parent / name for name in _TABLES if near != folder]
+        places = [near / name for name in TABLES]
+        places += [near.parent / name for name in TABLES if near != folder]
         for place in places:
             if is_there(place):
                 return read_times_of(files, place, "times", remedy)

@@ -16,7 +16,7 @@ from docdepth.datasets.kitti_files import agreed_size, image_files
 from docdepth.datasets.recording import Poses, Recording
 from docdepth.datasets.settings import CameraSettings, RecordingSettings, transform
 from docdepth.datasets.times import read_times, times_of_files
-from docdepth.errors import DatasetError, DocDepthError, kept, raise_together
+from docdepth.errors import DatasetError, DocDepthError, collect_errors, raise_together
 
 log = logging.getLogger(__name__)
 
@@ -68,7 +68,7 @@ def yaml_cameras(
     uncalibrated: dict[str, ImageStream] = {}
     problems: list[DocDepthError] = []
     for name, camera in settings.cameras.items():
-        with kept(problems):
+        with collect_errors(problems):
             found = _camera(folder, name, camera, lidar, asked, f"{settings.file}, {name}")
             if isinstance(found, CameraStream):
                 cameras[name] = found

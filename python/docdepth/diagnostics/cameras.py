@@ -19,7 +19,7 @@ from docdepth.datasets.files import (
 )
 from docdepth.diagnostics.alignment import find_misalignment
 from docdepth.diagnostics.sweeps import broken_frames_found, sample
-from docdepth.errors import DatasetError, DocDepthError, Finding, collected, kept
+from docdepth.errors import DatasetError, DocDepthError, Finding, collect_errors, collect_findings
 from docdepth.geometry.se3 import transform_points
 from docdepth.io.untrusted import open_file, read_text
 
@@ -44,14 +44,14 @@ def check_camera(
 ) -> list[Finding]:
     """Check one camera of a recording against sweeps that were read."""
     found = _check_images(stream)
-    with collected(found):
+    with collect_findings(found):
         found += _check_times(recording, stream)
     where = _extrinsics_of(recording)
     geometry = [*_check_intrinsics(stream), *_check_extrinsics(stream, sweeps, where)]
     found += geometry
     broken = any(one.severity == "error" for one in found)
     if stream.images and not geometry and not broken:  # edges would tell the same in other words
-        with collected(found):
+        with collect_findings(found):
             misfit = find_misalignment(recording, stream, sweeps)
             if misfit:
                 remedy = f"check {where}, the intrinsics, and the times of the images"
@@ -68,7 +68,7 @@ def _check_images(stream: CameraStream) -> list[Finding]:
         except OSError:
             empty = True
         if empty:
-            with collected(found), suggest_skipping():
+            with collect_findings(found), suggest_skipping():
                 if image.is_file():
                     raise DatasetError(f"{image} is empty; copy the image again or remove it")
                 raise unreadable(file_of(image), "put the image back")
@@ -79,7 +79,7 @@ def _check_images(stream: CameraStream) -> list[Finding]:
     broken: list[DocDepthError] = []
     opened = sorted({*sampled, *odd[:_IMAGES]})
     for index in opened:
-        with kept(broken):
+        with collect_errors(broken):
             stream.rectified_image(index)
     return found + broken_frames_found(broken, len(opened))
 

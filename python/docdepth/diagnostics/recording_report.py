@@ -23,7 +23,7 @@ from docdepth.diagnostics.own_vehicle import find_own_vehicle
 from docdepth.diagnostics.poses import Window, pose_figures, share_on, windows_of
 from docdepth.diagnostics.recording_checks import Inspection
 from docdepth.diagnostics.sweeps import check_sweeps, find_lonely_returns, find_sensor_origin
-from docdepth.errors import DocDepthError, Finding, collected, in_order
+from docdepth.errors import DocDepthError, Finding, collect_findings, in_order
 from docdepth.geometry.ground_plane import find_ground
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.se3 import inverse
@@ -66,7 +66,7 @@ def inspect_recording(
     _look_at_sweeps(recording, result)
     _look_at_rotation(recording, result)
     if given is not None:
-        with collected(result.findings):
+        with collect_findings(result.findings):
             checked = check_given_poses(recording, given)
             result.findings += find_no_motion(recording, checked, _PARAMETERS.odometry)
             result.findings += find_camera_poses(checked)
@@ -162,7 +162,7 @@ def _look_at_poses(recording: Dataset, result: Inspection, source: str) -> None:
             wrong = recording_checks.check_poses(recording, poses, result.windows)
             found += wrong
             if not wrong and np.ptp(poses, axis=0).any():
-                with collected(found):
+                with collect_findings(found):
                     found += find_misfit(
                         lambda k: recording.sweep(k).points,
                         poses,

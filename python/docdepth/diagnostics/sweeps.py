@@ -16,7 +16,14 @@ from docdepth.config import Parameters
 from docdepth.datasets import Dataset, Sweep, usable_points
 from docdepth.datasets.files import suggest_skipping
 from docdepth.datasets.sensor_pose import LEAST_IN_TRIANGLES, SensorOrigin, estimate_sensor_origin
-from docdepth.errors import DatasetError, DocDepthError, Finding, OdometryError, collected, kept
+from docdepth.errors import (
+    DatasetError,
+    DocDepthError,
+    Finding,
+    OdometryError,
+    collect_errors,
+    collect_findings,
+)
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.scan_mesh import share_in_triangles
 from docdepth.odometry.pose_checks import check_period
@@ -78,11 +85,11 @@ def check_sweeps(
     broken: list[DocDepthError] = []
     sampled = sample(len(recording))
     for index in sampled:
-        with kept(broken):
+        with collect_errors(broken):
             sweep = recording.sweep(index)
             place = f"{files[index][0] if files[index] else sweep.name} (frame {index})"
             found += check_sweep(sweep, place)
-            with collected(found):
+            with collect_findings(found):
                 _check_parameters(sweep, place, parameters)
                 opened[index] = sweep
     found += broken_frames_found(broken, len(sampled))
@@ -130,7 +137,7 @@ def broken_frames_found(broken: list[DocDepthError], count: int) -> list[Finding
     few = suggest_skipping if 2 * len(broken) <= count else nullcontext
     found: list[Finding] = []
     for error in broken:
-        with collected(found), few():
+        with collect_findings(found), few():
             raise error
     return found
 

@@ -18,7 +18,7 @@ from docdepth.datasets import CameraStream, Dataset, Sweep, usable_points
 from docdepth.datasets.times import read_times
 from docdepth.diagnostics.cameras import check_camera
 from docdepth.diagnostics.sweeps import check_sweeps
-from docdepth.errors import DatasetError, DocDepthError, Finding, collected, in_order
+from docdepth.errors import DatasetError, DocDepthError, Finding, collect_findings, in_order
 from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.depth import check_format
 from docdepth.io.inputs import DerivedInputs, RunInputs
@@ -54,7 +54,7 @@ def check_inputs(
     try:
         opened = open_inputs(inputs)
     except DocDepthError:
-        with collected(found):  # where sweeps cannot be read, the checks below name them
+        with collect_findings(found):  # where sweeps cannot be read, the checks below name them
             opened = open_as_begun(inputs, DerivedInputs())
     if opened is not None:
         recording = opened.recording
@@ -94,9 +94,9 @@ def check_opened(
     """
     found = _check_parameters(parameters)
     has_poses = bool(inputs.poses)
-    with collected(found):
+    with collect_findings(found):
         refuse_points_of_another_frame(recording, parameters.odometry)
-    with collected(found):
+    with collect_findings(found):
         poses = known_poses(inputs, recording)
         if poses is not None and inputs.poses:
             refuse_poses_of_a_camera(inputs.poses, recording, poses, parameters.odometry)
@@ -127,7 +127,7 @@ def _check_labels(folder: Path, recording: Dataset, sweeps: dict[int, Sweep]) ->
     """Labels of every sweep are there, and those of some sweeps fit."""
     found: list[Finding] = []
     names = next(iter(recording.lidars.values())).names
-    with collected(found):
+    with collect_findings(found):
         given = LabelFolder(folder)
         given.check(names)
         for frame, sweep in sweeps.items():
@@ -140,16 +140,16 @@ def _check_labels(folder: Path, recording: Dataset, sweeps: dict[int, Sweep]) ->
 def _check_files_of_options(inputs: RunInputs) -> list[Finding]:
     """Files that options name, where the recording itself cannot be opened."""
     found: list[Finding] = []
-    with collected(found):
+    with collect_findings(found):
         if inputs.camera_times is not None:
             read_times(inputs.camera_times)
-    with collected(found):
+    with collect_findings(found):
         if inputs.calibration is not None:
             read_camera_calibration(inputs.calibration)
-    with collected(found):
+    with collect_findings(found):
         if inputs.labels is not None:
             LabelFolder(inputs.labels)
-    with collected(found):
+    with collect_findings(found):
         if inputs.poses and (poses := file_of_poses(inputs.poses)):
             read_poses(poses)
     return found
@@ -159,9 +159,9 @@ def _check_parameters(parameters: Parameters) -> list[Finding]:
     """What only the last stage would refuse, and packages that are missing."""
     found: list[Finding] = []
     for format in parameters.output.format:
-        with collected(found):
+        with collect_findings(found):
             check_format(format, parameters.output.scale, parameters.render.max_depth)
-    with collected(found):
+    with collect_findings(found):
         check_layers(parameters.output.layers, parameters.render)
     return found
 
@@ -169,7 +169,7 @@ def _check_parameters(parameters: Parameters) -> list[Finding]:
 def _check_output(output: Path, sweeps: list[Path], recording: Path) -> list[Finding]:
     """Whether a run folder can be written to, and lies outside the recording."""
     found: list[Finding] = []
-    with collected(found):
+    with collect_findings(found):
         if output.is_symlink() and not output.exists():
             raise DatasetError(
                 f"{output} is a link to {output.readlink()}, which is missing; name another folder"

@@ -23,7 +23,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 from docdepth.concurrency import MOST_THREADS, Progress
 from docdepth.config import Parameters, replaced
 from docdepth.datasets.base import CameraStream, Dataset
-from docdepth.errors import CalibrationError, ConfigError, Finding, collected
+from docdepth.errors import CalibrationError, ConfigError, Finding, collect_findings
 from docdepth.geometry.points import usable_points
 from docdepth.ground.growing import CHUNK_OVERLAP
 from docdepth.io.inputs import Checked
@@ -252,7 +252,7 @@ def check_resources(
     """Compare an estimate with what the machine has."""
     found: list[Finding] = []
     for stream in cameras:
-        with collected(found):
+        with collect_findings(found):
             check_image_size(stream.camera.width, stream.camera.height, stream.name)
     memory = available_memory()
     if not found and memory is not None and needed.memory > memory:

@@ -28,9 +28,9 @@ from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing, in_order
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import Numbers, Strict, read_settings, transform
-from docdepth.datasets.times import times_of_files
+from docdepth.datasets.times import TABLES, times_of_files
 from docdepth.datasets.yaml_cameras import CameraRecordingSettings, yaml_cameras
-from docdepth.errors import DatasetError, DocDepthError, kept, raise_together
+from docdepth.errors import DatasetError, DocDepthError, collect_errors, raise_together
 from docdepth.geometry.points import MOVING_LABEL, STATIC_LABEL
 from docdepth.io.pcd import PcdError, read_pcd_header
 
@@ -46,7 +46,6 @@ sweep moves by metres from one to the next street."""
 _SURE = 1 / 3  # how much better one frame explains this middle than the other
 
 _NAMELESS = {".bin", ".npy", *TEXTS}  # suffixes of files that need not be clouds
-_TABLES = {"times.txt", "timestamps.txt", "poses.txt"}  # beside clouds
 
 
 class FolderLidar(Strict):
@@ -117,9 +116,9 @@ class CloudFolder(Recording):
         poses = None
         cameras: dict[str, CameraStream] = {}
         uncalibrated: dict[str, ImageStream] = {}
-        with kept(problems):
+        with collect_errors(problems):
             cameras, uncalibrated = yaml_cameras(path, settings, lidars[0].stream, image_size)
-        with kept(problems):
+        with collect_errors(problems):
             poses = _poses(settings, lidars[0])
         raise_together(problems)
         self.frame = settings.frame
@@ -139,7 +138,7 @@ def cloud_files(folder: Path) -> list[Path]:
     found = [file for file in folder.glob("*") if file.suffix.lower() in READERS]
     files = [file for file in found if file.suffix.lower() not in TEXTS]
     files = files or [file for file in found if file.suffix.lower() != ".txt"]
-    files = files or [file for file in found if file.name not in _TABLES]
+    files = files or [file for file in found if file.name not in (*TABLES, "poses.txt")]
     kinds = sorted({file.suffix.lower() for file in files})
     if not folder.is_dir():
         raise DatasetError(f"{folder}, the folder of the sweeps, is not there")

@@ -19,7 +19,7 @@ from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.pose_tables import poses_at, poses_of_matrices, read_pose_table
 from docdepth.datasets.settings import transform
 from docdepth.datasets.times import image_times, times_of_names
-from docdepth.errors import CalibrationError, DatasetError, DocDepthError, kept
+from docdepth.errors import CalibrationError, DatasetError, DocDepthError, collect_errors
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import inverse
 
@@ -63,7 +63,7 @@ class Kitti360(KittiRaw):
     ) -> dict[str, CameraStream]:
         file = self._root / "calibration" / "perspective.txt"
         streams: dict[str, CameraStream] = {}
-        with kept(problems):
+        with collect_errors(problems):
             calibration = Calibration(file, _CALIBRATION)
             numbers = [n for n in _PERSPECTIVE if f"P_rect_{n}" in calibration]
             if not numbers:
@@ -84,7 +84,7 @@ class Kitti360(KittiRaw):
                     images,
                 )
         for name in _FISHEYES:
-            with kept(problems):
+            with collect_errors(problems):
                 calibration_file = file.with_name(f"image_{name}.yaml")
                 if is_there(calibration_file):
                     lens = read_mei(calibration_file, _CALIBRATION)

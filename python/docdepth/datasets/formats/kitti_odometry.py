@@ -17,7 +17,13 @@ from docdepth.datasets.kitti_files import Calibration
 from docdepth.datasets.recording import Part, Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.datasets.times import image_times, read_times_of
-from docdepth.errors import CalibrationError, DatasetError, DocDepthError, kept, raise_together
+from docdepth.errors import (
+    CalibrationError,
+    DatasetError,
+    DocDepthError,
+    collect_errors,
+    raise_together,
+)
 from docdepth.geometry.camera import camera_of
 from docdepth.geometry.se3 import inverse
 from docdepth.io.poses import read_kitti
@@ -85,22 +91,22 @@ class KittiOdometry(Recording):
         settings, more = KittiSettings(), list[tuple[Path, NDArray[np.float64]]]()
         cameras: dict[str, CameraStream] = {}
         poses, T_camera_lidar = None, np.eye(4)
-        with kept(problems):
+        with collect_errors(problems):
             sweeps, broken = kitti_files.find_sweeps(path / "velodyne")
         times = np.arange(len(sweeps))
-        with kept(problems):
+        with collect_errors(problems):
             times = read_times_of(sweeps, path / "times.txt", "times", REMEDY)
-        with kept(problems):
+        with collect_errors(problems):
             settings = read_settings(path, KittiSettings, taken=_TAKEN)
-        with kept(problems):
+        with collect_errors(problems):
             calibration = Calibration(path / "calib.txt", REMEDY)
-            with kept(problems):
+            with collect_errors(problems):
                 T_camera_lidar = calibration.transform("Tr")
-            with kept(problems):
+            with collect_errors(problems):
                 poses = _poses(path, sweeps, T_camera_lidar)
-            with kept(problems):
+            with collect_errors(problems):
                 cameras = read_cameras(path, sweeps, times, calibration, T_camera_lidar, image_size)
-            with kept(problems):
+            with collect_errors(problems):
                 more = _find_more_lidars(path, calibration, T_camera_lidar, sweeps)
         if problems:
             raise_together([*broken, *problems])
@@ -235,14 +241,14 @@ def read_cameras(
     images = {n: kitti_files.image_files(folder) for n, folder in folders.items()}
     sizes: dict[int, tuple[int, int] | None] = dict.fromkeys(folders)
     for n, folder in folders.items():
-        with kept(problems):
+        with collect_errors(problems):
             sizes[n] = _image_size(folder, images[n], image_size)
     # Rectified together, the images of all cameras have one size.
     common = None if image_size else next((size for size in sizes.values() if size), None)
     streams: dict[str, CameraStream] = {}
     guessed: list[str] = []
     for n, folder in folders.items():
-        with kept(problems):
+        with collect_errors(problems):
             P = calibration.matrix(f"P{n}", 3, 4)
             size = sizes[n] or common
             if size is None:

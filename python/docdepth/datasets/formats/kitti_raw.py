@@ -20,7 +20,13 @@ from docdepth.datasets.pose_tables import continue_ends, poses_at, poses_of_angl
 from docdepth.datasets.recording import Part, Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.datasets.times import image_times, read_times_of
-from docdepth.errors import CalibrationError, DatasetError, DocDepthError, kept, raise_together
+from docdepth.errors import (
+    CalibrationError,
+    DatasetError,
+    DocDepthError,
+    collect_errors,
+    raise_together,
+)
 from docdepth.geometry.camera import camera_of
 from docdepth.geometry.se3 import inverse
 
@@ -62,12 +68,12 @@ class KittiRaw(Recording):
         problems: list[DocDepthError] = []
         settings, sweeps, broken = RecordingSettings(), list[Path](), list[DatasetError]()
         usual = {"motion_compensated": False}
-        with kept(problems):
+        with collect_errors(problems):
             settings = read_settings(path, RecordingSettings, usual, ("ego_boxes", "masks"))
-        with kept(problems):
+        with collect_errors(problems):
             sweeps, broken = kitti_files.find_sweeps(velodyne / "data")
         times = np.arange(len(sweeps))
-        with kept(problems):
+        with collect_errors(problems):
             times = read_times_of(sweeps, velodyne / "timestamps.txt", "stamps", EXPORT)
         cameras = self._read_cameras(sweeps, times, image_size, problems)
         if problems:
@@ -103,7 +109,7 @@ class KittiRaw(Recording):
     ) -> dict[str, CameraStream]:
         file = self.path.parent / "calib_cam_to_cam.txt"
         T_camera0_lidar = T_rectified_camera0 = np.eye(4)
-        with kept(problems):
+        with collect_errors(problems):
             lidar_file = Calibration(self.path.parent / "calib_velo_to_cam.txt", _CALIBRATION)
             T_camera0_lidar = lidar_file.transform_of("R", "T")
         try:
@@ -111,13 +117,13 @@ class KittiRaw(Recording):
         except CalibrationError as error:
             problems.append(error)
             return {}
-        with kept(problems):
+        with collect_errors(problems):
             T_rectified_camera0 = camera_file.transform_of("R_rect_00")
 
         streams: dict[str, CameraStream] = {}
         numbers = [n for n in ("00", "01", "02", "03") if f"P_rect_{n}" in camera_file]
         for number in numbers:
-            with kept(problems):
+            with collect_errors(problems):
                 P = camera_file.matrix(f"P_rect_{number}", 3, 4)
                 folder = self.path / f"image_{number}"
                 images = kitti_files.image_files(folder / "data")
@@ -134,7 +140,7 @@ class KittiRaw(Recording):
                     names=names,
                     images=images,
                 )
-        with kept(problems):
+        with collect_errors(problems):
             if not numbers:
                 raise CalibrationError(f"{file} has no camera (P_rect_NN); {_CALIBRATION}")
         return streams
