@@ -5,13 +5,14 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import scenes  # noqa: F401  adds its scenes
 import yaml
 
-from docdepth.datasets import CameraStream, Dataset, open_dataset
+from docdepth.datasets import CameraStream, Dataset, Sweep, open_dataset
 from docdepth.diagnostics.alignment import find_misalignment
 from docdepth.diagnostics.sweeps import sample
 from docdepth.geometry.se3 import matrix_to_quaternion, quaternion_to_matrix, rotation_exp
@@ -98,6 +99,33 @@ def test_what_drives_along_is_no_shift(overtaking: Dataset) -> None:
     found = find_misalignment(overtaking, turned(stream, pan=2))
     assert found is not None
     assert found.startswith(f"{BETTER} the camera turns 2")
+
+
+class Mirrored:
+    """A recording in a left-handed frame, as of Unreal Engine."""
+
+    def __init__(self, recording: Dataset) -> None:
+        self._recording = recording
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._recording, name)
+
+    def __len__(self) -> int:
+        return len(self._recording)
+
+    def sweep(self, index: int) -> Sweep:
+        sweep = self._recording.sweep(index)
+        return replace(sweep, points=sweep.points * np.float32([1, -1, 1]), sensor_rig=None)
+
+
+@pytest.mark.slow
+def test_points_of_a_left_handed_frame_are_named(crossing: Path) -> None:
+    recording = open_dataset(crossing)
+    stream = recording.cameras["image_2"]
+    assert find_misalignment(recording, stream) is None
+    found = find_misalignment(Mirrored(recording), stream)
+    assert found is not None
+    assert "left and right of the points are swapped" in found
 
 
 @pytest.mark.slow

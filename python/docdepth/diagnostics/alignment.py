@@ -70,6 +70,11 @@ def find_misalignment(
             "depth edges of the sweeps fit the images if the quaternion of the extrinsics is read "
             "in the other order, x y z w or w x y z"
         )
+    if not pairs.fit(_NO_FIT) and _fits_mirrored(pairs):
+        return (
+            "depth edges of the sweeps fit the images if left and right of the points are swapped "
+            "(y with the other sign), so that their frame is right-handed"
+        )
     moved = _moved_meanwhile(recording, stream, views)
     better = "depth edges of the sweeps fit the images better when "
     found = pairs.best(pairs.turns, _MOVED_GAIN if moved else _GAIN)
@@ -107,6 +112,13 @@ def _fits_in_another_order(
         if len(views) >= _FEWEST_PAIRS and _Pairs(views, other).fit(_SHARP):
             return True
     return False
+
+
+def _fits_mirrored(pairs: _Pairs) -> bool:
+    """Whether a camera that does not fit the sweeps fits their mirror image, left for right."""
+    views = [replace(view, ends=view.ends * (1, -1, 1)) for view in pairs.views]
+    mirrored = _Pairs(views, pairs.stream)
+    return mirrored.fit(_NO_FIT) and _is_better(mirrored.given, pairs.given, _MOVED_GAIN)
 
 
 def _moved_meanwhile(recording: Dataset, stream: CameraStream, views: Sequence[View]) -> bool:
