@@ -124,6 +124,12 @@ def poses(change: Callable[[np.ndarray], np.ndarray]) -> Spoil:
     return spoil
 
 
+def utm_later(steps: np.ndarray) -> np.ndarray:
+    """The receiver has no position yet at the first pose."""
+    steps[1:, 0, 3] += 2e6
+    return steps
+
+
 def config(content: bytes) -> tuple[list[str], Spoil]:
     return [*NEW, "--config", "c.yaml"], write("c.yaml", content)
 
@@ -147,6 +153,11 @@ def relabel(*classes: int) -> Spoil:
             np.resize(np.array(classes, "<u4"), file.stat().st_size // 4).tofile(file)
 
     return spoil
+
+
+def kilometres(at: Path) -> None:
+    for file in (at / "d/velodyne").iterdir():
+        (np.fromfile(file, np.float32) / 1000).tofile(file)
 
 
 def millimetres(at: Path) -> None:
@@ -173,6 +184,9 @@ RECORDINGS = [
      DatasetError, "Tr 12"),
     ("no focal length", NEW, text("d/calib.txt", lambda t: t.replace("60", "0")),
      CalibrationError, "P2"),
+    ("images mirrored", NEW, text("d/calib.txt", lambda t: t.replace("60 0 48", "-60 0 48")),
+     CalibrationError, "K must flip"),
+    ("sweeps in km", NEW, kilometres, DatasetError, "0.5 metres"),
     ("no times.txt", NEW, remove("d/times.txt"), DatasetError, "times.txt"),
     ("a time too few", NEW, lines("d/times.txt", lambda x: x[:-1]), DatasetError, "3 times 4"),
     ("times backwards", NEW, lines("d/times.txt", lambda x: x[::-1]), DatasetError, "frame 1"),
@@ -185,6 +199,8 @@ RECORDINGS = [
     ("doubles", NEW, columns(4, "float64"), DatasetError, "000000.bin float64"),
     ("poses, a row short", [*NEW, "--poses", "p.txt"], poses(lambda T: T[[0, 1, 2]]), OdometryError,
      "p.txt 3 4"),
+    ("poses, UTM later", [*NEW, "--dry-run", "--poses", "p.txt"], poses(utm_later), DocDepthError,
+     "1 of 4 poses km frame 0"),
     ("poses: a folder", [*NEW, "--poses", "d"], None, OdometryError, "poses"),
     ("poses: an image", [*NEW, "--poses", IMAGE], None, OdometryError, "000001.png poses"),
     ("poses mirrored", [*NEW, "--poses", "p.txt"], poses(lambda T: T * [1, -1, 1, 1]),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -194,6 +195,30 @@ def test_parts_of_revolutions_at_the_ends_are_left_out(tmp_path: Path, caplog) -
     check(dataset, "velodyne")
     assert len(dataset) == DRIVE.count - 2
     assert "2 partial sweeps at its ends are left out" in caplog.text
+
+
+LINKS = {
+    "IP": (101, b""),
+    "IP of BSD": (12, b""),
+    "IPv4": (228, b""),
+    "loopback": (0, struct.pack("<I", 2)),
+    "cooked": (113, struct.pack(">3H8sH", 0, 1, 6, bytes(8), 0x0800)),
+    "cooked, version 2": (276, struct.pack(">HHIHBB8s", 0x0800, 0, 1, 1, 0, 6, bytes(8))),
+    "VLAN": (1, bytes(12) + struct.pack(">3H", 0x8100, 5, 0x0800)),
+}
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_captures_of_other_interfaces(tmp_path: Path, link: str) -> None:
+    dpkt = pytest.importorskip("dpkt")
+    write_capture(tmp_path / "a.pcap", velodyne_drive())
+    expected = open_dataset(tmp_path / "a.pcap").sweep(1).points
+    number, head = LINKS[link]
+    with (tmp_path / "a.pcap").open("rb") as stream, (tmp_path / "b.pcap").open("wb") as out:
+        writer = dpkt.pcap.Writer(out, linktype=number)
+        for time, frame in dpkt.pcap.Reader(stream):
+            writer.writepkt_time(head + frame[14:], time)
+    np.testing.assert_array_equal(open_dataset(tmp_path / "b.pcap").sweep(1).points, expected)
 
 
 def test_two_velodynes_in_one_capture(tmp_path: Path) -> None:

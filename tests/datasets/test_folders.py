@@ -214,7 +214,7 @@ def test_the_header_of_a_recorder_that_pcl_wrote(tmp_path: Path) -> None:
     header = HEADER.format(
         fields="x y z _ intensity _ timestamp _ ring _",
         size="4 4 4 1 4 1 8 1 2 1",
-        type="F F F U F U F U U U",
+        type="F F F U f U f U U U",
         count="1 1 1 4 1 0 1 6 1 12",
     )
     rows = np.zeros((3, 48), np.uint8)

@@ -240,7 +240,7 @@ def _motion(trajectory: Trajectory, time: int, stream: CameraStream) -> Floats:
     ends = np.clip([time - _AROUND, time + _AROUND], *trajectory.times[[0, -1]])
     before, after = trajectory.interpolate(ends) @ inverse(stream.T_camera_lidar)
     moved = inverse(after) @ before
-    seconds = 1e-9 * float(ends[1] - ends[0])
+    seconds = 1e-9 * max(int(ends[1] - ends[0]), 1)  # of a single pose, which stays
     result: Floats = np.concatenate([rotation_log(moved[:3, :3]), moved[:3, 3]]) / seconds
     return result
 

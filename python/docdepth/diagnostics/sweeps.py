@@ -281,9 +281,12 @@ def _check_points(sweep: Sweep, place: str) -> list[Finding]:
     usable = usable_points(sweep.points)
     points = sweep.points[usable]
     if len(points) < _FEWEST_POINTS:
+        near = sweep.points[~usable]
+        near = near[np.isfinite(near).all(axis=1) & near.any(axis=1)]
         raise DatasetError(
-            f"{place} has {len(points)} usable points of {len(usable)}",
-            "copy the sweep again",
+            f"{place} has {len(points)} usable points of {len(usable)}, {len(near)} lie within "
+            "0.5 m",
+            "copy the sweep again, or give metres",
             code="empty-sweep",
         )
     if np.ptp(points, axis=0).max() < _ONE_PLACE:

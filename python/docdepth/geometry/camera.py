@@ -59,12 +59,21 @@ class Camera(ShortRepr):
             raise CalibrationError(
                 f"width and height must be integers, got {self.width!r} and {self.height!r}"
             ) from None
-        if K.shape != (3, 3) or not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
+        if K.shape != (3, 3) or not np.isfinite(K).all():
             raise CalibrationError(f"K must be a 3x3 pinhole matrix, got {K.tolist()}")
+        if K[0, 0] <= 0 or K[1, 1] <= 0:
+            raise CalibrationError(
+                f"the focal lengths in K must be above 0, got {K[0, 0]:g} and {K[1, 1]:g}; where images "
+                "are mirrored, flip them"
+            )
         if not (_FOCAL[0] < K[[0, 1], [0, 1]]).all() or not (K[[0, 1], [0, 1]] < _FOCAL[1]).all():
             raise CalibrationError(
                 f"the focal lengths {K[0, 0]:g} and {K[1, 1]:g} are none in pixels, which lie "
                 f"between {_FOCAL[0]:g} and {_FOCAL[1]:g}"
+            )
+        if (K.T[2] == (0, 0, 1)).all() and K[2, 0] > 0:
+            raise CalibrationError(
+                f"K is transposed: {K.tolist()}; write fx 0 cx / 0 fy cy / 0 0 1"
             )
         if K[0, 1] or K[1, 0] or (K[2] != (0, 0, 1)).any():
             raise CalibrationError(

@@ -179,7 +179,10 @@ def _parse_header(content: bytes) -> PcdHeader:
 def _header_of(entries: dict[str, list[str]], size: int) -> PcdHeader:
     names = entries["FIELDS"]
     counts = [int(n) for n in entries.get("COUNT", ["1"] * len(names))]
-    kinds = [_TYPES[t][int(s)] for t, s in zip(entries["TYPE"], entries["SIZE"], strict=True)]
+    kinds = [
+        _TYPES[kind.upper()][int(width)]
+        for kind, width in zip(entries["TYPE"], entries["SIZE"], strict=True)
+    ]
     unique = [
         name if name == "_" or names.count(name) == 1 else f"{name}{k}"
         for k, name in enumerate(names)

@@ -23,7 +23,7 @@ from docdepth.io.calibration import read_camera_calibration
 from docdepth.io.depth import check_format
 from docdepth.io.inputs import DerivedInputs, RunInputs
 from docdepth.io.poses import read_poses
-from docdepth.odometry.pose_checks import find_misfit
+from docdepth.odometry.pose_checks import check_given_poses, find_misfit
 from docdepth.pipeline.execution import check_resources, estimate, size_text
 from docdepth.pipeline.given_poses import (
     file_of_poses,
@@ -95,9 +95,10 @@ def check_opened(
     found = _check_parameters(parameters)
     has_poses = bool(inputs.poses)
     with collect_findings(found):
-        refuse_points_of_another_frame(recording, parameters.odometry)
-    with collect_findings(found):
         poses = known_poses(inputs, recording)
+        if poses is not None:
+            poses = check_given_poses(recording, poses)
+        refuse_points_of_another_frame(recording, parameters.odometry)
         if poses is not None and inputs.poses:
             refuse_poses_of_a_camera(inputs.poses, recording, poses, parameters.odometry)
     files = [recording.sweep_files(k) for k in range(len(recording))]

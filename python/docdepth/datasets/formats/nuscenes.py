@@ -174,10 +174,10 @@ def _channels(tables: Tables, scene: str) -> dict[str, list[_Datum]]:
 def _lidar(root: Path, name: str, rows: list[_Datum], tables: Tables) -> FileLidar:
     files = [root / row.filename for row in rows]
     lacking = [file for file in files if not file.is_file()]
-    if lacking:
+    if 2 * len(lacking) > len(files):  # fewer are told like other broken sweeps
         raise DatasetError(
-            f"{lacking[0]} is missing, and {len(lacking) - 1} more of {len(files)} sweeps; unpack "
-            f"samples and sweeps of {name}"
+            f"{len(lacking)} of {len(files)} sweeps are missing, the first of them {lacking[0]}; "
+            f"unpack samples and sweeps of {name}"
         )
     names = [file.name.removesuffix(".pcd.bin") for file in files]
     stream = LidarStream(name, _times(rows, names, tables), names)

@@ -72,8 +72,10 @@ class OpenedBag:
                 f"{self.path}, {topic}: headers have no stamps; say stamps: record in {file} to "
                 "take the times of recording"
             )
-        steps = np.diff([m.stamp for m in messages])
-        if len(steps) and steps.min() < -_LATEST:
+        stamps = np.array([m.stamp for m in messages], np.int64)
+        steps, early = np.diff(stamps), stamps < np.maximum.accumulate(stamps)
+        # A message that comes late is alone. Where the clock was set, those behind it follow.
+        if (early[1:] & early[:-1]).any() or steps.min(initial=0) < -_LATEST:
             k = int(steps.argmin())
             log.warning(
                 "%s, %s: stamps jump back by %.1f s behind message %d; messages are taken in the "

@@ -23,6 +23,7 @@ from docdepth.io.untrusted import open_file
 log = logging.getLogger(__name__)
 
 _LITTLE_ENDIAN = (b"\xd4\xc3\xb2\xa1", b"\x4d\x3c\xb2\xa1")  # begin of a capture
+_RAW = 101  # link type of IP alone, which BSD numbers otherwise
 _HEADER = 16  # bytes before each packet: seconds, fraction, bytes that are kept, bytes sent
 _TURN = 36000  # hundredths of a degree
 _WHOLE = 0.5  # of the usual number of packets; shorter sweeps at the ends were cut off
@@ -164,11 +165,15 @@ def _payload(frame: bytes, datalink: int) -> tuple[bytes, bytes]:
     """Sender and payload of a frame."""
     import dpkt
 
-    layer: object
-    if datalink == dpkt.pcap.DLT_LINUX_SLL:
-        layer = dpkt.sll.SLL(frame)
-    else:
-        layer = dpkt.ethernet.Ethernet(frame)
+    pcap = dpkt.pcap
+    layers = {
+        pcap.DLT_LINUX_SLL: dpkt.sll.SLL,
+        pcap.DLT_LINUX_SLL2: dpkt.sll2.SLL2,
+        pcap.DLT_NULL: dpkt.loopback.Loopback,
+        pcap.DLT_LOOP: dpkt.loopback.Loopback,
+        **dict.fromkeys((pcap.DLT_RAW, pcap.DLT_IPV4, _RAW), dpkt.ip.IP),
+    }
+    layer: object = layers.get(datalink, dpkt.ethernet.Ethernet)(frame)
     sender = b""
     while hasattr(layer, "data"):
         sender = getattr(layer, "src", sender) if isinstance(layer, dpkt.ip.IP) else sender
