@@ -109,10 +109,10 @@ _SET_BLAS_THREADS = (
 
 def main() -> None:
     """Entry point: every end without a result is a sentence and an exit code, never a traceback."""
-    keep_memory()
-    take_one_blas_thread()
-    print_any_path()
     try:
+        keep_memory()
+        take_one_blas_thread()
+        print_any_path()
         code = app(standalone_mode=False)
         if code == STOPPED:  # typer has taken the KeyboardInterrupt
             raise KeyboardInterrupt
