@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -104,6 +107,88 @@ def test_unusable_points_are_kept_apart(drive, tmp_path):
     np.testing.assert_array_equal(frame.index, np.arange(120, len(points)))
     assert np.isfinite(frame.points).all()
     assert len(np.fromfile(run / "labels" / "000002.label", np.uint32)) == len(points)
+
+
+@pytest.mark.slow
+def test_every_verb_takes_a_folder_whose_name_is_no_text(docdepth, drive, tmp_path):
+    named = tmp_path / os.fsdecode(b"\xe4")
+    shutil.copytree(drive, named / "drive")
+    run = named / "run"
+    verbs = [
+        ("run", named / "drive", "-o", run),
+        ("run", run, "--set", "render.behind=30"),
+        ("status", run),
+        ("inspect", run, "-o", named / "page.html"),
+        ("map", run),
+        ("video", run),
+        ("tune", run, "-o", named / "tune", "--vary", "render.behind=15,30"),
+        *(("convert", run, named / to, "--to", to) for to in ("tum", "label", "pcd", "colmap")),
+        *(("convert", run, named / to, "--to", to) for to in ("nerfstudio", "mcap", "occupancy")),
+    ]
+    for verb in verbs:
+        ended = docdepth(*(os.fsencode(word) for word in verb))
+        assert ended.code == 0, ended.err
+
+
+def test_ctrl_c_while_modules_are_imported():
+    """Delivered by an import hook, since nobody can time it."""
+    code = (
+        "import os, signal, sys\n"
+        "class Hook:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == MODULE: os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Hook())\n"
+        "from docdepth.__main__ import main\n"
+        "main()\n"
+    )
+    for module in ("numpy", "cv2", "docdepth._core", "docdepth.cli.tune"):
+        ended = subprocess.run(
+            [sys.executable, "-c", code.replace("MODULE", repr(module))],
+            capture_output=True, text=True,
+        )  # fmt: skip
+        assert ended.returncode == 130
+        assert ended.stderr == "stopped; the same command continues\n"
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])
+def test_a_file_system_without_locks(docdepth, copies, monkeypatch, number):
+    def refuse(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    above, run = copies
+    monkeypatch.setattr("fcntl.flock", refuse)
+    ended = [docdepth("run", above, "-o", run), docdepth("map", run)]
+    assert [one.code for one in ended] == [0, 0]
+    assert "".join(one.err for one in ended).count("lies on a file system without locks") == 1
+
+
+FORMATS = ("tum", "label", "classid", "pcd", "proj_depth", "nerfstudio", "colmap", "map", "mcap")
+
+
+@pytest.mark.parametrize("to", [*FORMATS, "occupancy"])
+@pytest.mark.parametrize("there", [False, True])
+def test_a_convert_that_fails_leaves_nothing(docdepth, finished, tmp_path, monkeypatch, to, there):
+    run, out = finished[0], tmp_path / "out"
+    if there := there and to != "tum":
+        out.mkdir()
+    fsync, calls = os.fsync, []
+
+    def fill(descriptor: int) -> None:
+        calls.append(descriptor)
+        if len(calls) > (to in ("label", "nerfstudio")):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(descriptor)
+
+    with monkeypatch.context() as full:
+        full.setattr("os.fsync", fill)
+        full.setattr("rosbags.rosbag2.Writer.write", lambda *_: fill(0))
+        ended = docdepth("convert", run, out, "--to", to)
+    assert ended.code == 2
+    assert str(out) in ended.err
+    assert list(out.rglob("*.*")) == []
+    assert out.exists() == (there or to == "proj_depth")
+    ended = docdepth("convert", run, out, "--to", to)
+    assert ended.code == 0, ended.err
 
 
 @pytest.mark.parametrize("place", ["frames/frame_000001.ply", "depth", ".docdepth/records", "x"])

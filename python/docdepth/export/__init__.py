@@ -11,6 +11,7 @@ from docdepth.export.colored_map import write_colored_map
 from docdepth.export.mcap import write_mcap
 from docdepth.export.occupancy import write_occupancy
 from docdepth.export.posed_images import write_colmap, write_nerfstudio
+from docdepth.io.atomic import new_output
 from docdepth.pipeline.run_reader import Run, open_run
 
 EXPORTS: dict[str, Callable[[Run, Path, Progress], int]] = {
@@ -44,6 +45,5 @@ def export(
     output = Path(output)
     if to not in EXPORTS:
         raise ConfigError(f"unknown layout {to!r}; there are {', '.join(EXPORTS)}")
-    if output.exists() and not (output.is_dir() and not any(output.iterdir())):
-        raise ConfigError(f"{output} is there; name another, or remove it")
-    return EXPORTS[to](run if isinstance(run, Run) else open_run(run), output, progress)
+    with new_output(output):
+        return EXPORTS[to](run if isinstance(run, Run) else open_run(run), output, progress)

@@ -38,6 +38,8 @@ def write_mcap(run: Run, output: Path, progress: Progress = null_progress) -> in
     extra("rosbags", "MCAP needs rosbags", "bags")
     from rosbags.rosbag2 import StoragePlugin, Writer
 
+    if output.is_dir():
+        output.rmdir()  # an empty one; the writer makes its own
     cameras, times = list(run.cameras.values()), run.trajectory.times
     sweeps = [(int(time), 0, k) for k, time in enumerate(times)]
     images = [(int(t), n, k) for n, of in enumerate(cameras, 1) for k, t in enumerate(of.times)]

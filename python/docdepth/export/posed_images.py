@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -172,7 +173,7 @@ def write_colmap(run: Run, output: Path, progress: Progress = null_progress) -> 
         T = inverse(photo.image.T_world_camera)
         x, y, z, w = matrix_to_quaternion(T[:3, :3])
         pose = struct.pack("<I7dI", number, w, x, y, z, *T[:3, 3], cameras[of.name])
-        image_rows.append(pose + name.encode() + b"\0" + struct.pack("<Q", 0))
+        image_rows.append(pose + os.fsencode(name) + b"\0" + struct.pack("<Q", 0))
     points = np.zeros(len(colors.points), _POINT)
     points["id"] = np.arange(1, len(points) + 1)
     points["xyz"], points["rgb"] = colors.points, colors.rgb()

@@ -8,19 +8,21 @@ import fcntl
 import io
 import logging
 import os
+import shutil
 import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
+from functools import cache
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import deflate
 import numpy as np
 
-from docdepth.errors import RunError
+from docdepth.errors import ConfigError, RunError
 from docdepth.io.untrusted import open_file
 
 log = logging.getLogger(__name__)
@@ -32,7 +34,7 @@ WriteFile = Callable[[Path, Content], None]
 """A function like :func:`write_atomically`."""
 
 _CHUNK = 1 << 22  # bytes that are read at once for a checksum
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, None)  # numpy tells no number
 _TRIES, _PAUSE = 4, 0.05  # seconds
 
 
@@ -86,8 +88,8 @@ def write_atomically(
             part.unlink()
         remedy = "make room" if error.errno in _FULL else "choose a folder that can be written"
         raise RunError(
-            f"cannot write {path}: {error.strerror}; {remedy} and run the same command again; it "
-            "continues where it stopped"
+            f"cannot write {path}: {error.strerror or error}; {remedy} and run the same command "
+            "again; it continues where it stopped"
         ) from error
     except BaseException:
         part.unlink(missing_ok=True)
@@ -118,6 +120,28 @@ def write_output(path: Path, content: Content) -> None:
             move_aside(path)
 
     write_atomically(path, content, before_rename=keep)
+
+
+@contextmanager
+def new_output(path: Path) -> Iterator[None]:
+    """Write a new file or folder inside: one that is there is refused, but an empty folder.
+
+    If that fails nothing is left of it, so the same command may be given again.
+    """
+    there = os.path.lexists(path)
+    if there and (path.is_symlink() or not path.is_dir() or any(path.iterdir())):
+        raise ConfigError(f"{path} is there; name another, or remove it")
+    try:
+        yield
+    except BaseException as error:
+        if path.is_dir():
+            shutil.rmtree(path)
+            path.mkdir() if there else None
+        else:
+            path.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename is None:
+            error.filename = str(path)
+        raise
 
 
 def has_content(path: Path, written: Written) -> bool:
@@ -166,7 +190,7 @@ def locked(file: Path, folder: Path, what: str) -> Iterator[None]:
             f"cannot write into {folder}: {error.strerror}; choose another folder"
         ) from None
     with stream:
-        if not _is_taken(stream.fileno()):
+        if not _is_taken(stream.fileno(), folder):
             raise RunError(
                 f"{folder} is in use by {holder(file) or 'another process'}; wait until it ends, "
                 "or stop it"
@@ -185,21 +209,32 @@ def holder(file: Path) -> str | None:
         with file.open(encoding="utf-8") as stream:
             try:
                 fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            except OSError:
+            except (BlockingIOError, PermissionError):
                 return stream.read() or "another process"
     except (OSError, UnicodeDecodeError):
         pass
     return None
 
 
-def _is_taken(descriptor: int) -> bool:
+def _is_taken(descriptor: int, folder: Path) -> bool:
     for _ in range(_TRIES):  # who asks for the holder has the lock for an instant
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return True
-        except OSError:
+        except (BlockingIOError, PermissionError):
             time.sleep(_PAUSE)
+        except OSError as error:
+            _warn_of_no_locks(folder, error.strerror)
+            return True
     return False
+
+
+@cache
+def _warn_of_no_locks(folder: Path, why: str) -> None:
+    log.warning(
+        "%s lies on a file system without locks (%s); have one process at a time work there",
+        folder, why,
+    )  # fmt: skip
 
 
 def _write(descriptor: int, text: str) -> None:

@@ -24,6 +24,7 @@ from docdepth.geometry.se3 import (
     quaternion_to_matrix,
 )
 from docdepth.geometry.trajectory import Trajectory
+from docdepth.io.atomic import write_atomically
 from docdepth.io.frames import read_trajectory
 from docdepth.io.untrusted import ArrayError, read_array, read_text
 
@@ -186,13 +187,13 @@ def write_tum(path: Path | str, trajectory: Trajectory) -> None:
         values = [*pose[:3, 3], *matrix_to_quaternion(pose[:3, :3])]
         stamp = f"{'-' if time < 0 else ''}{abs(time) // 10**9}.{abs(time) % 10**9:09d}"
         lines.append(" ".join([stamp, *(f"{value:.9f}" for value in values)]))
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_atomically(Path(path), ("\n".join(lines) + "\n").encode())
 
 
 def write_kitti(path: Path | str, poses: NDArray[np.float64]) -> None:
     """Write poses (n, 4, 4) in KITTI's format."""
     lines = [" ".join(f"{value:.12e}" for value in pose[:3].ravel()) for pose in poses]
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_atomically(Path(path), ("\n".join(lines) + "\n").encode())
 
 
 def _nanoseconds(line: str) -> int:
@@ -207,7 +208,7 @@ def _nanoseconds(line: str) -> int:
 
 def _begins_with_w(path: Path) -> bool:
     """Whether a heading names the quaternion w x y z, as EuRoC's files do, not x y z w."""
-    for line in read_text(path, "utf-8-sig").splitlines():
+    for line in read_text(path).splitlines():
         names = re.sub(r"\[[^]]*\]", "", line.lstrip("# ")).replace(",", " ").split()
         if line.lstrip().startswith("#") and len(names) == 8:
             return [name[-1].lower() for name in names[4:]] == list("wxyz")
@@ -216,7 +217,7 @@ def _begins_with_w(path: Path) -> bool:
 
 def _lines(path: Path) -> list[str]:
     try:
-        text = read_text(path, "utf-8-sig")
+        text = read_text(path)
     except FileNotFoundError:
         raise OdometryError(f"{path} is missing; give the file of the poses") from None
     except (UnicodeDecodeError, IsADirectoryError):

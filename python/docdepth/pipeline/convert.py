@@ -16,10 +16,10 @@ from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.points import DYNAMIC, STATIC
 from docdepth.geometry.se3 import inverse, matrix_to_quaternion, transform_points
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.atomic import write_atomically
+from docdepth.io.atomic import new_output, write_atomically
 from docdepth.io.depth import PNG_SCALE, maps_in, read_depth, write_depth
 from docdepth.io.frames import write_trajectory
-from docdepth.io.labels import LABEL_FORMATS, classes_of_labels, write_labels
+from docdepth.io.labels import classes_of_labels, write_labels
 from docdepth.io.pcd import write_pcd
 from docdepth.io.poses import POSE_FORMATS, read_timed_poses, write_kitti, write_tum
 from docdepth.io.run_folder import RunFolder
@@ -45,8 +45,6 @@ def write_release(run: RunFolder, output: Path, progress: Progress = null_progre
     """
     name = (run.recording_path or run.path).absolute().name
     drive = output / name
-    if drive.exists():
-        raise ConfigError(f"{drive} is there; name another folder, or remove it")
     recorded = {n: entry for n, entry in run.cameras.items() if entry.virtual is None}
     maps = []
     for camera, entry in recorded.items():
@@ -57,9 +55,11 @@ def write_release(run: RunFolder, output: Path, progress: Progress = null_progre
         raise DatasetError(
             f"{run.path} has no depth maps", f"make them: `docdepth.run(..., {str(run.path)!r})`"
         )
-    for done, (camera, image, path) in enumerate(maps, 1):
-        write_depth(drive / INSIDE / camera / f"{image}.png", read_depth(path), "png", PNG_SCALE)
-        progress("convert", done, len(maps))
+    with new_output(drive):
+        for done, (camera, image, path) in enumerate(maps, 1):
+            file = drive / INSIDE / camera / f"{image}.png"
+            write_depth(file, read_depth(path), "png", PNG_SCALE)
+            progress("convert", done, len(maps))
     return len(maps)
 
 
@@ -94,22 +94,19 @@ def convert(
         if camera is not None:
             raise ConfigError(f"`camera` is for poses; {to} holds the depth of every camera")
         return write_release(RunFolder.open(source), output, progress)
-    if output.exists() and not (
-        to in LABEL_FORMATS and output.is_dir() and not any(output.iterdir())
-    ):
-        raise ConfigError(f"{output} is there; name another, or remove it")
-    if to in POSE_FORMATS:
-        times, poses = _poses(source, dataset, camera)
-        return _write_poses(source, output, to, times, poses)
-    if camera is not None:
-        raise ConfigError(f"`camera` is for poses; {to} are labels of the LiDAR's points")
-    if _is_pose_file(source):
-        raise ConfigError(f"{source} is a file; labels are those of a run or a recording")
-    sweeps, trajectory, count = _sweeps(source, dataset, to)
-    for k, sweep in enumerate(sweeps):
-        _write_labels(output, to, sweep, trajectory, k)
-        progress("convert", k + 1, count)
-    return count
+    with new_output(output):
+        if to in POSE_FORMATS:
+            times, poses = _poses(source, dataset, camera)
+            return _write_poses(source, output, to, times, poses)
+        if camera is not None:
+            raise ConfigError(f"`camera` is for poses; {to} are labels of the LiDAR's points")
+        if _is_pose_file(source):
+            raise ConfigError(f"{source} is a file; labels are those of a run or a recording")
+        sweeps, trajectory, count = _sweeps(source, dataset, to)
+        for k, sweep in enumerate(sweeps):
+            _write_labels(output, to, sweep, trajectory, k)
+            progress("convert", k + 1, count)
+        return count
 
 
 def _is_pose_file(source: Path) -> bool:

@@ -145,7 +145,8 @@ def _write(
     begin, ending = (_H264, ".mp4") if mp4 else (_vp8, ".webm")
     path = path.with_suffix(ending)
     part = path.with_name(f".{path.stem}.part{ending}")
-    path.parent.mkdir(parents=True, exist_ok=True)
+    with run.lock("video"):  # which tells of a folder that cannot be written before all is drawn
+        path.parent.mkdir(parents=True, exist_ok=True)
     writer: _Writer | None = None
     opened, named = os.open(path.parent, os.O_RDONLY), str(part)
     if not named.isprintable():  # OpenCV opens UTF-8 only, so it gets the folder as a number
