@@ -343,19 +343,39 @@ def test_clocks_that_differ_are_named(tmp_path: Path, caplog) -> None:
     assert not caplog.records
 
 
-def test_a_clock_that_is_set_back_is_named(tmp_path: Path, caplog) -> None:
+@pytest.mark.parametrize("seconds", [2.0, 0.25])
+def test_a_clock_that_is_set_back_is_named(tmp_path: Path, caplog, seconds: float) -> None:
     times = DRIVE.times.tolist()
-    back = {time: time - (2_000_000_000 if k >= 2 else 0) for k, time in enumerate(times)}
+    back = {time: time - (int(seconds * 1e9) if k >= 2 else 0) for k, time in enumerate(times)}
     with BagWriter(tmp_path / "drive", "mcap") as bag:
         for k, time in enumerate(times):
             bag.write("/points", bag.cloud(padded_rows(k), back[time]), time)
     open_dataset(tmp_path / "drive")
-    assert "stamps jump back by 1.9 s behind message 1" in caplog.text
+    step = seconds - 1e-9 * (times[2] - times[1])
+    assert f"stamps jump back by {step:.1f} s behind message 1" in caplog.text
     assert "say stamps: record in" in caplog.text
     caplog.clear()
     say(tmp_path / "drive", stamps="record")
     assert open_dataset(tmp_path / "drive").times.tolist() == times
     assert "jump back" not in caplog.text
+
+
+def test_a_message_that_comes_late_is_put_in_its_place(tmp_path: Path, caplog) -> None:
+    times = DRIVE.times.tolist()
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        for k, arrival in zip((0, 1, 3, 2, 4), times, strict=True):
+            bag.write("/points", bag.cloud(padded_rows(k), times[k]), arrival)
+    assert open_dataset(tmp_path / "drive").times.tolist() == times
+    assert "jump back" not in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("name", "word"), [("a.BAG", "call it a.bag"), ("a.bag.active", "rosbag reindex")]
+)
+def test_bags_of_other_names_are_to_be_renamed(tmp_path: Path, name: str, word: str) -> None:
+    write_drive(tmp_path / "drive.bag", "ros1").rename(tmp_path / name)
+    with pytest.raises(DatasetError, match=word):
+        open_dataset(tmp_path / name)
 
 
 # ---- several topics

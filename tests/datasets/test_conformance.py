@@ -46,6 +46,61 @@ def test_loader(what: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> 
         assert "frame 2" in str(caught.value) or "frame_000002" in str(caught.value)
 
 
+def _of_windows(folder: Path, encoding: str) -> None:
+    for file in folder.rglob("*.*"):
+        if file.suffix in (".txt", ".yaml", ".json", ".csv"):
+            file.write_bytes(file.read_text().replace("\n", "\r\n").encode(encoding))
+
+
+def _in_capitals(folder: Path) -> None:
+    for file in [*folder.rglob("*.*")]:
+        if file.suffix in (".bin", ".pcd", ".ply", ".npy", ".las", ".png", ".pcap", ".json"):
+            file.rename(file.with_suffix(file.suffix.upper()))
+
+
+CHANGES = {
+    "utf-8 with a mark": lambda folder: _of_windows(folder, "utf-8-sig"),
+    "utf-16": lambda folder: _of_windows(folder, "utf-16"),
+    "capitals": _in_capitals,
+    "bytes": lambda folder: folder.rename(folder.with_name("\udce4")),
+}
+ANY = {"kitti_raw", "folder of binary pcd", "folder of bin", "folder of npy"}
+UNCHANGED = {
+    "utf-8 with a mark": {*ANY, "kitti_odometry", "nuScenes", "PandaSet", "DGP", "Boreas", "NCLT"},
+    "utf-16": {*ANY, "kitti_odometry", "Boreas", "NCLT", "KITTI-360", "MulRan"},
+    "capitals": {*ANY, "Velodyne capture", "Hesai capture", "folder of las", "HeLiPR, Avia"},
+    # Not those that log the path: pytest-xdist sends only text.
+    "bytes": {*ANY, "Velodyne capture", "MCAP", "ROS 1 bag", "nuScenes", "run"},
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "what"), [(change, what) for change in CHANGES for what in sorted(UNCHANGED[change])]
+)
+def test_files_as_other_systems_name_and_write_them(tmp_path: Path, change: str, what: str) -> None:
+    (folder := tmp_path / "x").mkdir()
+    path = WRITERS[what][1](folder).path
+    before = open_dataset(path)
+    first = before.sweep(0).points
+    CHANGES[change](folder)
+    (folder,) = tmp_path.iterdir()
+    place = folder / path.relative_to(tmp_path / "x")
+    capitals = place.with_suffix(place.suffix.upper())
+    after = open_dataset(capitals if capitals.is_file() else place)
+    np.testing.assert_array_equal(after.sweep(0).points, first)
+    assert after.times.tolist() == before.times.tolist()
+    assert after.cameras.keys() == before.cameras.keys()
+
+
+@pytest.mark.parametrize("what", ["ROS 2 bag", "Argoverse 2", "Waymo"])
+def test_paths_that_a_library_refuses_are_to_be_renamed(what: str, tmp_path: Path) -> None:
+    (letters := tmp_path / "letters").mkdir()
+    place = WRITERS[what][1](letters).path.relative_to(letters)
+    folder = letters.rename(tmp_path / "\udce4")
+    with pytest.raises(DatasetError, match="rename it, in letters"):
+        open_dataset(folder / place)
+
+
 @pytest.mark.parametrize("what", ["kitti_raw", "kitti_odometry", "folder of ply"])
 def test_labels_beside_the_sweeps(what: str, tmp_path: Path) -> None:
     path = WRITERS[what][1](tmp_path).path

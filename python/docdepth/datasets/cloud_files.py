@@ -23,7 +23,7 @@ from docdepth.datasets.cloud import (
     read_rows,
     rows_of,
 )
-from docdepth.datasets.files import extra, library_errors, unreadable
+from docdepth.datasets.files import extra, files_of, library_errors, unreadable
 from docdepth.datasets.kitti_files import in_order
 from docdepth.datasets.text_clouds import read_table
 from docdepth.datasets.times import times_of_names
@@ -108,7 +108,9 @@ def _read_bin(file: Path, where: str, rows: RowFormat) -> Cloud:
     if content and not content[:_BEGINNING].strip(_OF_NUMBERS):
         return _read_text(file, where, rows)
     step = np.dtype(rows.dtype).itemsize * len(rows.columns)
-    if not content or len(content) % step:
+    if not content:
+        raise DatasetError(f"{where} is empty; copy it again")
+    if len(content) % step:
         raise DatasetError(
             f"{where} has {len(content)} bytes, which is not a multiple of {step} "
             f"({' '.join(rows.columns)} as {rows.dtype}); copy it again, or say columns and dtype "
@@ -227,7 +229,7 @@ def stamped_lidar(
     cloud: Callable[[NDArray[Any], str], Cloud] = cloud_from_fields,
 ) -> FileLidar:
     """The LiDAR of a folder of ``STAMP.bin``, whose stamps count ``unit`` nanoseconds."""
-    sweeps = in_order(folder.glob("*.bin"))
+    sweeps = in_order(files_of(folder, ".bin"))
     if not sweeps:
         raise DatasetError(f"{folder} holds no sweeps (*.bin); unpack them there")
     times = times_of_names(sweeps, unit, "names of sweeps are stamps; remove what is none")

@@ -5,6 +5,7 @@ Some sweeps or images may be broken: then others beside them tell what a recordi
 
 from __future__ import annotations
 
+import codecs
 import os
 import threading
 import warnings
@@ -36,6 +37,15 @@ FILE = "docdepth.yaml"
 def settings_file(recording: Path) -> Path:
     """``docdepth.yaml`` in the folder of a recording, or beside one that is no folder."""
     return (recording if recording.is_dir() else recording.parent) / FILE
+
+
+def files_of(folder: Path, *suffixes: str) -> list[Path]:
+    """Files of a folder with these suffixes, in small letters or others, by name.
+
+    Hidden files are left out: other systems put ``._000000.bin`` beside each file that they copy.
+    """
+    files = folder.iterdir() if folder.is_dir() else ()
+    return sorted(f for f in files if f.suffix.lower() in suffixes and not f.name.startswith("."))
 
 
 def is_there(file: Path) -> bool:
@@ -75,7 +85,7 @@ def read_bytes(file: Path, remedy: str, where: str = "") -> bytes:
 def read_lines(file: Path, remedy: str) -> list[str]:
     """The lines of a text file without blank ones at its end."""
     try:
-        return read_text(file, "utf-8-sig").rstrip().splitlines()
+        return read_text(file).rstrip().splitlines()
     except OSError as error:
         raise unreadable(file, remedy, error) from None
     except UnicodeDecodeError:
@@ -96,8 +106,9 @@ def read_json(
     file: Path, remedy: str, form: type[_Read], error: type[DocDepthError] = DatasetError
 ) -> _Read:
     """The content of a JSON file, which has this form, in pydantic's words; more is ignored."""
+    content = read_bytes(file, remedy).removeprefix(codecs.BOM_UTF8)
     try:
-        return TypeAdapter(form).validate_json(read_bytes(file, remedy))
+        return TypeAdapter(form).validate_json(content)
     except ValidationError as failed:
         (first, *_) = failed.errors()
         found = ": ".join([*map(str, first["loc"]), first["msg"]])
@@ -182,6 +193,11 @@ def library_errors(where: str, remedy: str) -> Iterator[None]:
         yield
     except (DocDepthError, OSError, MemoryError):
         raise
+    except UnicodeEncodeError:
+        raise DatasetError(
+            f"{where}: the bytes of this path are no text, and the library that reads it takes "
+            "only text; rename it, in letters"
+        ) from None
     except Exception as error:
         raise DatasetError(f"{where} is damaged ({error!r}); {remedy}") from error
 
@@ -238,6 +254,8 @@ def one_of(root: Path, what: str, known: Sequence[str], wanted: str | None) -> s
     if wanted is None or wanted not in known:
         some = ", ".join(str(root / one) for one in known[:_MOST_NAMED])
         more = f" and {len(known) - _MOST_NAMED} more" if len(known) > _MOST_NAMED else ""
+        if not known:
+            raise DatasetError(f"{root} has no {what}; unpack it again")
         raise DatasetError(
             f"{root} has {len(known)} {what}{'' if wanted is None else f', but no {wanted}'}; name "
             f"one of {some}{more}"

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import LidarStream
 from docdepth.datasets.cloud import Cloud, FileLidar, foreign_format, packed, read_rows
 from docdepth.datasets.files import (
+    files_of,
     first_readable,
     read_bytes,
     read_image,
@@ -36,7 +37,7 @@ def find_sweeps(folder: Path) -> tuple[list[Path], list[DatasetError]]:
     The sizes of all are looked at, and the numbers of the first: an error now is better than one an
     hour into the run. Many broken sweeps are one problem.
     """
-    files = in_order(folder.glob("*.bin"))
+    files = in_order(files_of(folder, ".bin"))
     if not files:
         raise DatasetError(f"{folder} holds no sweeps (*.bin); unpack the velodyne data there")
     frames = [k for k, file in enumerate(files) if _is_broken(file)]
@@ -78,7 +79,7 @@ def lidars_of(
 def in_order(files: Iterable[Path]) -> list[Path]:
     """Files in order of their names, whose numbers count as such: ``img_2`` before ``img_10``.
 
-    Hidden files are left out: other systems put ``._000000.bin`` beside each file that they copy.
+    Hidden files are left out.
     """
     shown = [file for file in files if not file.name.startswith(".")]
     return sorted(shown, key=lambda file: (_words_and_numbers(file.stem), file))
@@ -223,7 +224,7 @@ def camera_offset(P: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def image_files(folder: Path) -> list[Path]:
     """Images of a folder in the order of :func:`in_order`; none if there is no such folder."""
-    return in_order(f for f in folder.glob("*") if f.suffix.lower() in _IMAGES)
+    return in_order(files_of(folder, *_IMAGES))
 
 
 def image_size(files: Sequence[Path]) -> tuple[int, int] | None:

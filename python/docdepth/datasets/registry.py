@@ -36,8 +36,12 @@ from docdepth.errors import DatasetError, raise_together
 log = logging.getLogger(__name__)
 
 _DEEPEST = 3  # levels below a folder that are searched: KITTI's ROOT/DATE/DRIVE, OUT/sequences/00
-_TOOLS = {".osf": "ouster-cli source IN save OUT.pcap", ".pcapng": "editcap -F pcap IN OUT"}
-"""What writes a capture that docdepth reads, by the suffix of another."""
+_TOOLS = {
+    ".osf": "docdepth reads captures as pcap; write one by ouster-cli source IN save OUT.pcap",
+    ".pcapng": "docdepth reads captures as pcap; write one by editcap -F pcap IN OUT",
+    ".active": "this bag was not closed; mend it by rosbag reindex, and call it NAME.bag",
+}
+"""What makes a recording that docdepth reads of another file, by its suffix."""
 
 _PACKED = (".zip", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".zst", ".zstd", ".lz4", ".7z", ".rar")
 _MOST_NAMED = 8  # recordings in an error
@@ -208,7 +212,7 @@ def _find_recording(path: Path, wanted: Format | None) -> tuple[Path, Format]:
     if packed:
         raise DatasetError(f"{packed} is packed; unpack it and name what comes out")
     if tool := _TOOLS.get(path.suffix.lower()):
-        raise DatasetError(f"{path}: docdepth reads captures as pcap; write one by {tool}")
+        raise DatasetError(f"{path}: {tool}")
     clouds = _clouds_below(path)
     if clouds:
         raise DatasetError(

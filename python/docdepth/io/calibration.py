@@ -148,7 +148,7 @@ def read_camera_calibration(file: Path) -> CameraCalibration:
         text file with the extrinsic alone.
     """
     remedy = "name calib.json of `docdepth.calibration.calibrate()`, or a text file of a 4x4 matrix"
-    if file.suffix != ".json":
+    if file.suffix.lower() != ".json":
         return CameraCalibration(_read(file, _extrinsic, remedy))
     camera, distortion, entries, T = _read(file, _camera_and_place, remedy)
     model = entries.get("model", "pinhole")

@@ -141,7 +141,10 @@ class RunManifest(BaseModel):
     def text(self) -> bytes:
         """As run.yaml holds it."""
         tree = self.model_dump(mode="json", exclude_none=True)
-        return yaml.dump(tree, Dumper=yaml.CSafeDumper, sort_keys=False).encode()
+        try:
+            return yaml.dump(tree, Dumper=yaml.CSafeDumper, sort_keys=False).encode()
+        except UnicodeEncodeError:  # libyaml takes no path whose bytes are no text
+            return yaml.dump(tree, Dumper=yaml.SafeDumper, sort_keys=False).encode()
 
 
 def read_manifest(path: Path) -> RunManifest | None:

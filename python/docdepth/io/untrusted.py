@@ -6,6 +6,7 @@ header tells only where the file is large enough.
 
 from __future__ import annotations
 
+import codecs
 import errno
 import json
 import os
@@ -72,8 +73,8 @@ def read_file(path: Path | str, most: int = _MOST_BYTES) -> bytes:
         return stream.read()
 
 
-def read_text(path: Path | str, encoding: str = "utf-8") -> str:
-    """The content of a text file, its ends of lines as ``\\n``.
+def read_text(path: Path | str) -> str:
+    """The content of a text file, UTF-8 or UTF-16 with a mark, its ends of lines as ``\\n``.
 
     Raises
     ------
@@ -81,7 +82,9 @@ def read_text(path: Path | str, encoding: str = "utf-8") -> str:
         As for :func:`read_file`; no table of times or poses is larger than 256 MB.
     UnicodeDecodeError
     """
-    text = read_file(path, _MOST_TEXT).decode(encoding)
+    content = read_file(path, _MOST_TEXT)
+    is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # PowerShell's
+    text = content.decode("utf-16" if is_utf_16 else "utf-8-sig")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -102,7 +103,7 @@ def write_csv(outcomes: Sequence[Outcome], by: str, path: Path) -> None:
         settings = [outcome.settings.get(name, "") for name in names]
         figures = [outcome.metric(metric) for metric, _, _ in COLUMNS[by].values()]
         writer.writerow([outcome.run, outcome.name, *settings, *figures])
-    write_output(path, stream.getvalue().encode())
+    write_output(path, os.fsencode(stream.getvalue()))
 
 
 def plot(outcomes: Sequence[Outcome], by: str, path: Path) -> None:

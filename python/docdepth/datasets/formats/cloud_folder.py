@@ -23,7 +23,7 @@ from docdepth.datasets.cloud_files import (
     read_cloud,
     read_viewpoint,
 )
-from docdepth.datasets.files import FILE
+from docdepth.datasets.files import FILE, files_of
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing, in_order
 from docdepth.datasets.recording import Recording
@@ -285,7 +285,7 @@ class DynamicMap(CloudFolder):
 
 def _is_dynamic_map(path: Path) -> bool:
     """A folder pcd whose last file has a pose in its header."""
-    files = sorted((path / "pcd").glob("*.pcd"))
+    files = files_of(path / "pcd", ".pcd")
     try:
         return bool(files) and bool(read_pcd_header(files[-1]).viewpoint[:3].any())
     except (OSError, PcdError):

@@ -8,6 +8,7 @@ import numpy as np
 
 from docdepth.datasets.cloud import packed
 from docdepth.datasets.cloud_files import NANOSECOND, stamped_lidar
+from docdepth.datasets.files import files_of
 from docdepth.datasets.format import Format
 from docdepth.datasets.pose_tables import pose_of, read_table_poses
 from docdepth.datasets.recording import Recording
@@ -51,7 +52,7 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
 
 def _recognises(path: Path) -> bool:
     whole = path.absolute()
-    return whole.name in _ROWS and whole.parent.name == "LiDAR" and any(path.glob("*.bin"))
+    return whole.name in _ROWS and whole.parent.name == "LiDAR" and bool(files_of(path, ".bin"))
 
 
 FORMAT = Format(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.cloud import Cloud, FileLidar, packed
 from docdepth.datasets.cloud_files import NANOSECOND, stamped_lidar
+from docdepth.datasets.files import files_of
 from docdepth.datasets.format import Format
 from docdepth.datasets.pose_tables import poses_of_angles, poses_of_matrices, read_table_poses
 from docdepth.datasets.recording import Recording
@@ -77,7 +78,7 @@ def _sweeps(path: Path) -> Path:
 
 def _recognises(path: Path) -> bool:
     """Ouster's sweeps alone; HeLiPR has them in a folder LiDAR, beside those of others."""
-    return path.name != "LiDAR" and any(_sweeps(path).glob("*.bin"))
+    return path.name != "LiDAR" and bool(files_of(_sweeps(path), ".bin"))
 
 
 FORMAT = Format(

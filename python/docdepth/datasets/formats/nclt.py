@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.cloud import Cloud, packed
 from docdepth.datasets.cloud_files import MICROSECOND, stamped_lidar
-from docdepth.datasets.files import is_there
+from docdepth.datasets.files import files_of, is_there
 from docdepth.datasets.format import Format
 from docdepth.datasets.pose_tables import poses_of_angles, read_table_poses
 from docdepth.datasets.recording import Recording
@@ -61,7 +61,7 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
 FORMAT = Format(
     "nclt",
     "a session DATE of NCLT with velodyne_sync/*.bin",
-    lambda path: any((path / "velodyne_sync").glob("*.bin")),
+    lambda path: bool(files_of(path / "velodyne_sync", ".bin")),
     _open,
     experimental=True,
 )

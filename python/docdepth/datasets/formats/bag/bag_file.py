@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from docdepth.datasets.files import OpenedOnce, extra
+from docdepth.datasets.files import OpenedOnce, extra, files_of
 from docdepth.errors import DatasetError
 
 SUFFIXES = (".bag", ".mcap", ".db3")
@@ -156,7 +156,7 @@ def bag_files(path: Path) -> list[Path]:
     """The files of a bag."""
     if path.is_file():
         return [path]
-    return sorted(f for f in path.iterdir() if f.suffix in SUFFIXES and f.name[0] != ".")
+    return files_of(path, *SUFFIXES)
 
 
 def _open_reader(path: Path, files: list[Path]) -> Any:
@@ -164,6 +164,9 @@ def _open_reader(path: Path, files: list[Path]) -> Any:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+    for file in files:
+        if file.suffix not in SUFFIXES:
+            raise DatasetError(f"{file}: call it {file.stem}{file.suffix.lower()}, as rosbags asks")
     _limit_chunks()
     types = get_typestore(Stores.LATEST)
     for name, text in _DEFINITIONS.items():
@@ -175,6 +178,8 @@ def _open_reader(path: Path, files: list[Path]) -> Any:
             reader = AnyReader(parts, default_typestore=types)
             reader.open()
             return reader
+        except UnicodeEncodeError:  # of the path
+            raise
         except Exception as error:
             problem = error
     raise DatasetError(f"{path} cannot be opened ({problem}); {_MEND}") from problem

@@ -212,7 +212,7 @@ def _place(
 
 def _recognises(path: Path) -> bool:
     if path.is_file():
-        return path.suffix in SUFFIXES
+        return path.suffix.lower() in SUFFIXES
     if not path.is_dir():
         return False
     files = bag_files(path)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from docdepth.datasets.cloud import Cloud
-from docdepth.datasets.files import read_bytes
+from docdepth.datasets.files import files_of, read_bytes
 from docdepth.datasets.formats.bag.bag_file import BagFile, Message
 from docdepth.datasets.formats.pcap.ouster import clock_offset, cloud_of_frame, sensor_info
 from docdepth.errors import DatasetError
@@ -98,7 +98,7 @@ def open_packets(bag: BagFile, topic: str, metadata: Path | None) -> OusterPacke
     inside = topic.rpartition("/")[0] + "/metadata"
     if metadata is None and inside in bag.topics and (found := bag.read_all(inside, 1)):
         return OusterPackets(bag, topic, str(found[0].data), f"{bag.path}, {inside}")
-    beside = [metadata] if metadata else sorted(bag.files[0].parent.glob("*.json"))
+    beside = [metadata] if metadata else files_of(bag.files[0].parent, ".json")
     if len(beside) != 1:
         raise DatasetError(
             f"{bag.path}, {topic}: the LiDAR's metadata is missing; there is no topic {inside}, "

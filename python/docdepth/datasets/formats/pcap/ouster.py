@@ -11,7 +11,7 @@ import numpy as np
 
 from docdepth.datasets.base import LidarStream
 from docdepth.datasets.cloud import Cloud
-from docdepth.datasets.files import OpenedOnce, extra
+from docdepth.datasets.files import OpenedOnce, extra, files_of
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing
 from docdepth.datasets.recording import Recording
@@ -163,7 +163,7 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
 
 def _metadata_of(path: Path, file: Path) -> Path:
     """The JSON beside a capture whose name is the longest that the capture's begins with."""
-    beside = sorted(path.parent.glob("*.json"))
+    beside = files_of(path.parent, ".json")
     fitting = [one for one in beside if path.stem.startswith(one.stem)]
     if not fitting:
         listed = ", ".join(one.name for one in beside) or "none"
@@ -176,7 +176,8 @@ def _metadata_of(path: Path, file: Path) -> Path:
 
 def _recognises(path: Path) -> bool:
     """A capture with JSON beside it; others are Velodyne's."""
-    return path.suffix.lower() == ".pcap" and path.is_file() and any(path.parent.glob("*.json"))
+    is_capture = path.suffix.lower() == ".pcap" and path.is_file()
+    return is_capture and bool(files_of(path.parent, ".json"))
 
 
 FORMAT = Format("ouster", "an Ouster capture .pcap with its metadata .json", _recognises, _open)
