@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,6 +16,7 @@ from docdepth.cli.options import OneCamera, Threads, option, verb
 from docdepth.cli.progress import progress_bars
 from docdepth.cli.terminal import say
 from docdepth.errors import ConfigError, MissingExtraError
+from docdepth.io.atomic import write_output
 
 
 @verb()
@@ -85,7 +87,7 @@ def tune(
     by = objectives[0].by
     table = tuning.table(outcomes, by)
     say(str(table))
-    (output / "tune.md").write_text(table.markdown(), encoding="utf-8")
+    write_output(output / "tune.md", os.fsencode(table.markdown()))
     try:
         tuning.plot(outcomes, by, output / "tune.png")
     except MissingExtraError as error:

@@ -63,8 +63,8 @@ class Camera(ShortRepr):
             raise CalibrationError(f"K must be a 3x3 pinhole matrix, got {K.tolist()}")
         if K[0, 0] <= 0 or K[1, 1] <= 0:
             raise CalibrationError(
-                f"the focal lengths in K must be above 0, got {K[0, 0]:g} and {K[1, 1]:g}; where images "
-                "are mirrored, flip them"
+                f"the focal lengths in K must be above 0, got {K[0, 0]:g} and {K[1, 1]:g}; where "
+                "images are mirrored, flip them"
             )
         if not (_FOCAL[0] < K[[0, 1], [0, 1]]).all() or not (K[[0, 1], [0, 1]] < _FOCAL[1]).all():
             raise CalibrationError(
