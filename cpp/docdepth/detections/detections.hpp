@@ -17,6 +17,9 @@ namespace docdepth {
 constexpr float kMaxObjectWidth = 25.0f;
 /// The place of an object was free if that of this share of its area was.
 constexpr float kMinFreeShare = 0.5f;
+/// Of what moves this share was free at some time, also of people in single file, whose places are
+/// soon occupied again. Of hedges and fences it seldom is in one sweep.
+constexpr float kFoundFreeShare = 0.9f;
 /// What was always there may have been hidden, but for this share of its points.
 constexpr double kStandingShare = 0.25;
 /// An object is kept as at most this many samples, if it is no larger than a van.
@@ -50,15 +53,15 @@ struct Detection {
   bool is_dynamic() const { return 2 * dynamic_points >= points; }
   /// Whether most of its place was free before or after.
   bool was_free() const { return free_area >= kMinFreeShare * area; }
-  /// Whether most of its place was free at some time, though perhaps occupied again soon.
-  bool was_found_free() const {
-    return std::max(dynamic_area, free_area + porous_area) >= kMinFreeShare * area;
-  }
+  /// What of its place was free at some time, though perhaps occupied again soon.
+  float found_free_area() const { return std::max(dynamic_area, free_area + porous_area); }
   /// What of it is here for a while only, by the votes or by their order.
   float transient_area() const { return std::max(dynamic_area, free_area); }
   float transient_share() const { return transient_area() / area; }
   /// Whether it is here for a while only, as far as the votes tell.
-  bool is_transient() const { return is_dynamic() || was_free(); }
+  bool is_transient() const {
+    return is_dynamic() || was_free() || found_free_area() >= kFoundFreeShare * area;
+  }
   float range() const { return std::sqrt(area / float(points)); }  ///< of its points [m]
   const SampledPoints& samples() const { return surface.points; }
 };

@@ -31,8 +31,8 @@ TrackEvidence::TrackEvidence(ObjectTrack object, std::uint32_t number,
   for (const TrackObservation& seen : observations) {
     stamps_.push_back(times[seen.sweep]);
     // Of a vehicle each sweep may show another part, of a person each shows about half.
-    supported_ =
-        is_vehicle_ ? supported_ + seen.transient_area : std::max(supported_, seen.transient_area);
+    const float found_free = std::max(seen.transient_area, seen.free_area + seen.porous_area);
+    supported_ = is_vehicle_ ? supported_ + found_free : std::max(supported_, found_free);
   }
   seen_to_move_ = is_seen_to_move();
   const auto is_unsure = [&](std::size_t k) { return object_.path.deviation(k) > kSamePlace; };
@@ -142,7 +142,8 @@ bool TrackEvidence::drives_over(const Detection& object, double time) const {
 bool TrackEvidence::goes_through(const Detection& object, double time) const {
   const OrientedBox box = object_.path.whole_box(time);
   const auto inside = [&](const Vector& p) { return box.contains(p, kObjectMargin); };
-  return object_.path.speed(time) >= kStanding && object.was_found_free() &&
+  return object_.path.speed(time) >= kStanding &&
+         object.found_free_area() >= kMinFreeShare * object.area &&
          std::all_of(object.samples().begin(), object.samples().end(), inside);
 }
 

@@ -1,6 +1,7 @@
 #include <doctest/doctest.h>
 
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <vector>
 
 #include "docdepth/detections/detections.hpp"
@@ -147,4 +148,18 @@ TEST_CASE("of porous things nothing counts as free") {
   for (std::uint32_t i = 0; i < scan.free.size() && left > 0; ++i)
     if (scan.free[i]) scan.mesh.isolated.push_back(i), --left;
   CHECK(!count_at(0.01f));
+}
+
+TEST_CASE("what was free at some time nearly as a whole is here for a while, though not for long") {
+  Scan scan;
+  const auto is_transient_if_free_from = [&](int column) {
+    for (std::size_t i = 0; i < scan.porous.size(); ++i)
+      scan.porous[i] = scan.free[i] && int(i % 121) - 60 >= column;
+    Scan in_turn = scan;
+    std::fill(in_turn.free.begin(), in_turn.free.end(), std::uint8_t(0));
+    return board(in_turn.detect(), 12).is_transient();
+  };
+  CHECK(is_transient_if_free_from(-40));   // of columns -40 to -20
+  CHECK(is_transient_if_free_from(-39));   // 0.95 or more
+  CHECK(!is_transient_if_free_from(-37));  // less than 0.86
 }
