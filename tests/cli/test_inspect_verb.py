@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from pathlib import Path
 
@@ -105,6 +106,12 @@ def test_errors_of_poses_and_pages(tmp_path: Path) -> None:
     assert "is no page of docdepth; name another file" in str(result.exception)
     assert other.read_text() == "mine"
     assert "is a folder" in str(cli("inspect", sequence, "-o", tmp_path).exception)
+    os.mkfifo(tmp_path / "pipe")
+    assert "no regular file" in str(cli("inspect", sequence, "-o", tmp_path / "pipe").exception)
+    (link := tmp_path / "link.html").symlink_to("page.html")
+    assert cli("inspect", sequence, "-o", link).exit_code == 0
+    assert link.readlink() == Path("page.html")
+    assert "<html" in (tmp_path / "page.html").read_text()
 
 
 @pytest.mark.parametrize("with_poses", [True, False])

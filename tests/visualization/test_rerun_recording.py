@@ -57,7 +57,9 @@ def test_the_recording_holds_sweeps_tracks_and_depth(
     run = RunFolder.open(finished[0])
     stream = open_dataset(drive).cameras["image_2"]
     path = tmp_path / "run.rrd"
+    path.write_text("of somebody")
     write_rerun(run, path, color="instance", stream=stream)
+    assert (tmp_path / "run.rrd.old").read_text() == "of somebody"
     trajectory = run.trajectory()
     origin = trajectory.poses[0, :3, 3]
     assert len(told["world/lidar/points"]) == len(trajectory)

@@ -122,6 +122,13 @@ def write_output(path: Path, content: Content) -> None:
     write_atomically(path, content, before_rename=keep)
 
 
+def replace_output(part: Path, path: Path) -> None:
+    """Give a whole file of another name its own, as :func:`write_output` does."""
+    if not has_content(path, Written(part.stat().st_size, 0, checksum(part))):
+        move_aside(path)
+    os.replace(part, path)
+
+
 @contextmanager
 def new_output(path: Path) -> Iterator[None]:
     """Write a new file or folder inside: one that is there is refused, but an empty folder.

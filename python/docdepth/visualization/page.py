@@ -78,8 +78,9 @@ def head(title: str, style: str = "") -> str:
 
 def check_page(path: Path) -> None:
     """Refuse a file that is no page of docdepth."""
-    if path.is_dir():
-        raise DatasetError(f"{path} is a folder; name a file for the page")
+    if path.exists() and not path.is_file():
+        what = "a folder" if path.is_dir() else "no regular file"
+        raise DatasetError(f"{path} is {what}; name a file for the page")
     if path.is_file() and _MARK.encode() not in read_file(path)[:6000]:
         raise DatasetError(f"{path} is no page of docdepth; name another file")
 
@@ -90,6 +91,7 @@ def write_page(path: Path, parts: Iterable[str]) -> None:
     A page that was changed since docdepth wrote it becomes ``NAME.old``.
     """
     check_page(path)
+    path = path.resolve()  # a link stays one
     content = "\n".join(parts).encode(errors="replace")
     content += _seal(content)
     try:

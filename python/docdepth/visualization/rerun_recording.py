@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from docdepth.datasets.base import CameraStream
 from docdepth.errors import MissingExtraError, RunError
 from docdepth.geometry.se3 import matrix_to_quaternion
 from docdepth.geometry.track import Track
+from docdepth.io.atomic import replace_output
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.visualization.drive_scene import Coloring, camera_views, sweep_scene
@@ -57,7 +57,7 @@ def write_rerun(
         _log_run(rerun, recording, run, camera, color, stream, progress)
         recording.flush()
         recording.disconnect()
-        os.replace(part, path)
+        replace_output(part, path)
     except OSError as error:
         raise RunError(f"{path} cannot be written ({error.strerror})") from None
     finally:

@@ -19,6 +19,7 @@ from docdepth.datasets.base import CameraStream
 from docdepth.errors import BackendError, InputError, MissingExtraError, RunError
 from docdepth.geometry.se3 import inverse, transform_points
 from docdepth.geometry.track import Track
+from docdepth.io.atomic import replace_output
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.visualization.drive_scene import (
@@ -331,7 +332,7 @@ def _capture(window: Any, image: Path, legend: Sequence[str]) -> None:
             for k, line in enumerate(legend, start=1):
                 write_text(picture, line, (12, k * _LINE), (255, 255, 255))
             cv2.imwrite(str(part), picture)
-        os.replace(part, image)
+        replace_output(part, image)
     except OSError:
         raise RunError(
             f"{image} cannot be written; name a .png file in a folder that is there"
