@@ -23,9 +23,10 @@ py::array_t<float> normals(const OrientedPoints& cloud) {
   return rows;
 }
 
-std::unique_ptr<GaussianVoxelMap> make_map(double voxel_size) {
+std::unique_ptr<GaussianVoxelMap> make_map(double voxel_size, double tolerance) {
   RegistrationOptions options;
   options.voxel_size = in_range(voxel_size, 1e-3, 1e3, "voxel_size");
+  options.tolerance = in_range(tolerance, 1e-3, 1e3, "tolerance");
   return std::make_unique<GaussianVoxelMap>(options);
 }
 
@@ -72,7 +73,7 @@ void bind_odometry(py::module_& m) {
       .def(py::init(&orient), "points"_a, "neighbors"_a, "threads"_a = 0)
       .def_property_readonly("normals", &normals);
   py::class_<GaussianVoxelMap>(m, "GaussianVoxelMap")
-      .def(py::init(&make_map), "voxel_size"_a)
+      .def(py::init(&make_map), "voxel_size"_a, "tolerance"_a = RegistrationOptions{}.tolerance)
       .def("voxels", &voxels)
       .def("insert", &insert, "cloud"_a, "T_map_cloud"_a)
       .def("align", &align, "cloud"_a, "guess"_a, "threads"_a = 0);

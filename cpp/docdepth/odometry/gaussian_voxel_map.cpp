@@ -89,6 +89,8 @@ GaussianVoxelMap::Sums GaussianVoxelMap::sums(const OrientedPoints& cloud, std::
   Sums sums;
   const double edge = options_.voxel_size, flat = 1 - options_.flatness;
   const double farthest = options_.max_distance * options_.max_distance;
+  const double near = options_.tolerance * options_.tolerance;
+  const double spread = options_.angle_noise * options_.angle_noise;
   const Matrix R = pose.linear();
   const Vector t = pose.translation();
   Matrix turns = Matrix::Zero(), mixed = Matrix::Zero(), shifts = Matrix::Zero();
@@ -102,7 +104,10 @@ GaussianVoxelMap::Sums GaussianVoxelMap::sums(const OrientedPoints& cloud, std::
     const Vector n = R * cloud.normals[placed.point].cast<double>();
     const Matrix covariance =
         share * voxel.covariance + Matrix::Identity() - flat * n * n.transpose();
-    const Matrix weight = covariance.inverse();
+    Matrix weight = covariance.inverse();
+    // Both flat variances: that of the voxel and that of the point.
+    const double squared = 2 * options_.flatness * off.dot(weight * off);
+    weight /= 1 + squared / (near + spread * arm.squaredNorm());
     Matrix cross;  // [arm]x
     cross << 0, -arm.z(), arm.y(), arm.z(), 0, -arm.x(), -arm.y(), arm.x(), 0;
     const Matrix lever = cross * weight;

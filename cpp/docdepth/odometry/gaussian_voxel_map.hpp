@@ -15,6 +15,8 @@ struct RegistrationOptions {
   double voxel_size = 1.0;    ///< edge of a voxel of the map [m]
   double max_distance = 1.0;  ///< from a point to the mean of its voxel [m]
   double flatness = 1e-3;     ///< variance across a surface over that along it
+  double tolerance = 0.3;     ///< distance from a surface at which a point counts half [m]
+  double angle_noise = 1e-3;  ///< of beams, and of turns while a pose is sought [rad]
   int max_iterations = 30;
   double min_turn = 1e-4;     ///< a smaller step is the last one [rad]
   double min_shift = 5e-4;    ///< [m]
@@ -33,7 +35,9 @@ struct Alignment {
 ///
 /// A point is as uncertain along its surface as its neighbourhood is wide, and `flatness` times
 /// that across it (Segal et al., Generalized-ICP; Koide et al., Voxelized GICP). A point without a
-/// normal is uncertain in all directions, and so tells next to nothing.
+/// normal is uncertain in all directions, and so tells next to nothing. The farther a point
+/// lies from its surface than `tolerance` and `angle_noise` explain, the less it counts (Cauchy's
+/// weights): a few points of what moves would pull a thin sweep along.
 class GaussianVoxelMap {
  public:
   explicit GaussianVoxelMap(const RegistrationOptions& options) : options_(options) {}

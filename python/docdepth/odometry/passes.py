@@ -24,6 +24,9 @@ KnownPoses = Callable[[int], NDArray[np.float64]]
 
 # Voxels of 0.5 m resolve kerbs and posts, and still hold points enough for a normal.
 _FINE_VOXEL = 0.5  # metres, edge of a voxel of the map
+_FINE_TOLERANCE = 0.05
+"""In the second pass a point so far from its surface counts half [m]: the noise of ranges and of
+the means of voxels. The poses of the first pass are off by more."""
 _NEIGHBORS, _FINE_NEIGHBORS = 20, 15
 """Neighbours from which the normal of a point is taken, in the first pass and in the second. On a
 road the nearest ones lie on the ring of one laser. By 16 beams, ten of them are a short arc, whose
@@ -137,7 +140,7 @@ def register(
         fresh = Registration(voxel, 0.5 * voxel, _NEIGHBORS, threads)
     else:
         voxel = _FINE_VOXEL
-        fresh = Registration(voxel, None, _FINE_NEIGHBORS, threads)
+        fresh = Registration(voxel, None, _FINE_NEIGHBORS, threads, _FINE_TOLERANCE)
     registration = LoggedRegistration(fresh, kept, count, parameters.max_range + voxel)
     period = float(np.median(np.diff(times))) if count > 1 else 1.0
     stamp_error = stamp_error_of(times)

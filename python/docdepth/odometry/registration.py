@@ -185,12 +185,19 @@ class Registration:
         Edge of a voxel in which a sweep keeps one point [m]; None where sweeps are thin enough.
     neighbors : int
         Points from which the normal of a point is taken.
+    tolerance : float
+        Distance from a surface at which a point counts half [m].
     """
 
     def __init__(
-        self, voxel_size: float, sampling: float | None, neighbors: int, threads: int
+        self,
+        voxel_size: float,
+        sampling: float | None,
+        neighbors: int,
+        threads: int,
+        tolerance: float = 0.3,
     ) -> None:
-        self._map = _core.GaussianVoxelMap(voxel_size)
+        self._map = _core.GaussianVoxelMap(voxel_size, tolerance)
         self._voxel_size, self._sampling, self._threads = voxel_size, sampling, threads
         self._neighbors, self._empty, self._traffic = neighbors, True, Traffic()
         self._cloud: _core.OrientedPoints | None = None
