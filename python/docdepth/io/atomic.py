@@ -143,7 +143,8 @@ def new_output(path: Path) -> Iterator[None]:
     except BaseException as error:
         if path.is_dir():
             shutil.rmtree(path)
-            path.mkdir() if there else None
+            if there:
+                path.mkdir()
         else:
             path.unlink(missing_ok=True)
         if isinstance(error, OSError) and error.filename is None:
