@@ -134,6 +134,7 @@ def test_ctrl_c_while_modules_are_imported():
     """Delivered by an import hook, since nobody can time it."""
     code = (
         "import os, signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # jobs of a shell ignore it
         "class Hook:\n"
         "    def find_spec(self, name, *_):\n"
         "        if name == MODULE: os.kill(os.getpid(), signal.SIGINT)\n"
