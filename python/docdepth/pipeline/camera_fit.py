@@ -22,7 +22,7 @@ from docdepth.pipeline.render import report
 
 log = logging.getLogger(__name__)
 
-_VERSION = 7  # counted up when the same images ask for another change
+_VERSION = 8  # counted up when the same images ask for another change
 FITTED_IMAGES = 40
 """Images to which a camera is fitted, evenly along the path."""
 
@@ -130,7 +130,7 @@ _FEWEST_IMAGES = 10
 _LEAST_MOVED_DEG = 0.04  # half a pixel of most cameras; smaller changes are not applied
 _PARTS = 8  # of the drive, each of which is left out once; of four the error is half chance
 _EVERY = 4  # edges of an image that are used: next to each other they err alike
-_TURN_AND_TIME = np.array([True] * 3 + [False] * 3 + [True])
+_TURN, _TURN_AND_TIME = np.arange(7) < 3, np.array([True] * 3 + [False] * 3 + [True])
 _PAN = np.arange(7) == 1
 _LEAST_PAN_DEG = 0.1  # along a short path; right cameras have seemed to be off by 0.07
 _LEAST_SCORE = 1.2  # right ones reach 1.4 to 2.2, another drive's images 1.0 to 1.1
@@ -175,11 +175,11 @@ def fit_camera(found: RunEdges, path: float = np.inf) -> CameraFit | None:
     if not found.enough or len(found.edges) < _FEWEST_IMAGES:
         return None
     every, images = found.with_each(_EVERY).seen, np.arange(len(found.edges))
-    whole = fit_edges(every, near=fit_edges(every, _TURN_AND_TIME))
-    free = None if path >= LEAST_PATH else _PAN
-    if free is not None:
-        asked, whole = whole.change, fit_edges(every, free)
-        if not _explains(every, whole.change, asked):
+    if path >= LEAST_PATH:
+        free, whole = None, fit_edges(every, near=fit_edges(every, _TURN_AND_TIME))
+    else:
+        free, whole = _PAN, fit_edges(every, _PAN)
+        if not _explains(every, whole.change, fit_edges(every, _TURN).change):
             return None
     gains, changes = [], []
     for part in np.array_split(images, _PARTS):
@@ -201,9 +201,9 @@ def fit_camera(found: RunEdges, path: float = np.inf) -> CameraFit | None:
 
 
 def _explains(every: ImageEdges, pan: Floats, asked: Floats) -> bool:
-    """Whether a clear pan takes edges most of the way to the right or left that is asked for.
+    """Whether a clear pan takes edges most of the way to the right or left that a turn asks for.
 
-    Else it stands in for a roll or a shift.
+    Else it stands in for a roll. A shift and a time are not told from a pan along a short path.
     """
     to_right = np.concatenate(every.rows)[:, 0]
     left = np.sum((to_right @ (asked - pan)) ** 2)
