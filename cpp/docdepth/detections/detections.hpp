@@ -17,8 +17,8 @@ namespace docdepth {
 constexpr float kMaxObjectWidth = 25.0f;
 /// The place of an object was free if that of this share of its area was.
 constexpr float kMinFreeShare = 0.5f;
-/// Of what moves this share was free at some time, also of people in single file, whose places are
-/// soon occupied again. Of hedges and fences it seldom is in one sweep.
+/// An object moves, too, if this share of its area was free at some time: places of people in
+/// single file are soon occupied again. So much of a hedge or fence seldom was free.
 constexpr float kFoundFreeShare = 0.9f;
 /// What was always there may have been hidden, but for this share of its points.
 constexpr double kStandingShare = 0.25;

@@ -35,9 +35,10 @@ struct Alignment {
 ///
 /// A point is as uncertain along its surface as its neighbourhood is wide, and `flatness` times
 /// that across it (Segal et al., Generalized-ICP; Koide et al., Voxelized GICP). A point without a
-/// normal is uncertain in all directions, and so tells next to nothing. The farther a point
-/// lies from its surface than `tolerance` and `angle_noise` explain, the less it counts (Cauchy's
-/// weights): a few points of what moves would pull a thin sweep along.
+/// normal is uncertain in all directions, and so tells next to nothing. The farther a point lies
+/// from its surface, the less it counts (Cauchy's weights): half at `tolerance`, to which far
+/// points add `angle_noise` of their range. So a few points of what moves do not pull a sweep
+/// along.
 class GaussianVoxelMap {
  public:
   explicit GaussianVoxelMap(const RegistrationOptions& options) : options_(options) {}
