@@ -31,8 +31,8 @@ TrackEvidence::TrackEvidence(ObjectTrack object, std::uint32_t number,
   for (const TrackObservation& seen : observations) {
     stamps_.push_back(times[seen.sweep]);
     // Of a vehicle each sweep may show another part, of a person each shows about half.
-    const float found_free = std::max(seen.transient_area, seen.free_area + seen.porous_area);
-    supported_ = is_vehicle_ ? supported_ + found_free : std::max(supported_, found_free);
+    const float free = seen.found_free_area();
+    supported_ = is_vehicle_ ? supported_ + free : std::max(supported_, free);
   }
   seen_to_move_ = is_seen_to_move();
   const auto is_unsure = [&](std::size_t k) { return object_.path.deviation(k) > kSamePlace; };

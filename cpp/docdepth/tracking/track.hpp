@@ -1,6 +1,7 @@
 // An object followed from sweep to sweep, and the end at which it is followed on.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -33,6 +34,8 @@ struct TrackObservation {
   GroundHeight ground{};      ///< under the object of most points
 
   bool is_mostly_transient() const { return transient_area >= kMinFreeShare * area; }
+  /// What of its places was free at some time, though perhaps occupied again soon.
+  float found_free_area() const { return std::max(transient_area, free_area + porous_area); }
 };
 
 /// Some detections of a sweep as an observation, without a shift.
