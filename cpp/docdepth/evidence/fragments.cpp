@@ -117,7 +117,8 @@ void add(const TrackObservation& fragment, TrackObservation& seen) {
   const double points = double(seen.points) + fragment.points;
   seen.time_offset =
       (seen.points * seen.time_offset + fragment.points * fragment.time_offset) / points;
-  seen.objects.insert(seen.objects.end(), fragment.objects.begin(), fragment.objects.end());
+  seen.detections.insert(seen.detections.end(), fragment.detections.begin(),
+                         fragment.detections.end());
   seen.box.add(fragment.box);
   seen.points += fragment.points;
   seen.area += fragment.area;

@@ -37,7 +37,7 @@ ObservedSurface surface_of(const TrackObservation& seen, const Detections& detec
     points.insert(points.end(), more.begin(), more.end());
     for (const float time : more_times) times.push_back(time - float(seen.time_offset));
   };
-  for (const auto of : seen.objects) {
+  for (const auto of : seen.detections) {
     const Detection& part = detections[of];
     const TimedSurface& its = part.surface;
     append(surface.points, surface.times, its.points, its.times);

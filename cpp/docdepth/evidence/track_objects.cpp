@@ -109,15 +109,15 @@ Members members_of(TrackEvidence& evidence, const Reach& within, const SweepBuff
     std::vector<std::uint32_t> near;
     if (const auto reach = evidence.reach(times[i])) near = sweeps[i].near(*reach, 0);
     if (is_seen) {
-      near.insert(near.end(), seen->objects.begin(), seen->objects.end());
+      near.insert(near.end(), seen->detections.begin(), seen->detections.end());
       std::sort(near.begin(), near.end());
       near.erase(std::unique(near.begin(), near.end()), near.end());
     }
     std::vector<std::pair<const Detection*, bool>> found;
     const Detection* best = nullptr;  // of whose place most was free before or after
     for (const auto k : near) {
-      const bool is_member = is_seen && std::find(seen->objects.begin(), seen->objects.end(), k) !=
-                                            seen->objects.end();
+      const bool is_member = is_seen && std::find(seen->detections.begin(), seen->detections.end(),
+                                                  k) != seen->detections.end();
       const bool dynamic = evidence.makes_dynamic(times[i], detections[k], is_member);
       if (!is_member && !dynamic) continue;
       found.push_back({&detections[k], dynamic});

@@ -143,12 +143,13 @@ class MatchSearch {
     const PointGrid track(samples);
     for (std::size_t n = 0; n < near.size(); ++n)
       if (matched_share(samples_near[n], -match.shift, track) >= kMinMemberShare)
-        match.objects.push_back(near[n]);
-    if (match.objects.empty()) return {};
-    match.neighbors = drop_neighbors(seen_, match.objects);
-    match.box = seen_[match.objects[0]].box;
+        match.detections.push_back(near[n]);
+    if (match.detections.empty()) return {};
+    match.neighbors = drop_neighbors(seen_, match.detections);
+    match.box = seen_[match.detections[0]].box;
     SampledPoints found;
-    for (const auto k : match.objects) add(seen_[k], samples_of(seen_[k], velocity), match, found);
+    for (const auto k : match.detections)
+      add(seen_[k], samples_of(seen_[k], velocity), match, found);
     const PointGrid kept(found);
     // Together larger than one object: a pedestrian and what he walks away from.
     if (!could_match(match.box, match.largest)) return {};

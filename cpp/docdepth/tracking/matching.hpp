@@ -16,7 +16,7 @@ struct Match {
   float score = 0;  ///< 0 if there is none
   /// How far it went between two moments as far apart as the stamps of the two sweeps [m].
   Eigen::Vector3f shift = Eigen::Vector3f::Zero();
-  std::vector<std::uint32_t> objects;
+  std::vector<std::uint32_t> detections;  ///< indices of those of the sweep
   TimedPoints samples;
   Extent box{};
   Eigen::Vector3f largest = Eigen::Vector3f::Zero();

@@ -44,10 +44,10 @@ bool was_less_free(const Detection& object, float share) {
   return object.transient_share() < kTogetherShare * share;
 }
 
-SampledPoints drop_neighbors(const Detections& seen, std::vector<std::uint32_t>& objects) {
+SampledPoints drop_neighbors(const Detections& seen, std::vector<std::uint32_t>& chosen) {
   SampledPoints neighbors;
-  if (objects.empty()) return neighbors;
-  const auto best = *std::max_element(objects.begin(), objects.end(), [&](auto a, auto b) {
+  if (chosen.empty()) return neighbors;
+  const auto best = *std::max_element(chosen.begin(), chosen.end(), [&](auto a, auto b) {
     return seen[a].transient_area() < seen[b].transient_area();
   });
   const auto is_neighbor = [&](std::uint32_t k) {
@@ -58,7 +58,7 @@ SampledPoints drop_neighbors(const Detections& seen, std::vector<std::uint32_t>&
     neighbors.insert(neighbors.end(), samples.begin(), samples.end());
     return true;
   };
-  objects.erase(std::remove_if(objects.begin(), objects.end(), is_neighbor), objects.end());
+  chosen.erase(std::remove_if(chosen.begin(), chosen.end(), is_neighbor), chosen.end());
   return neighbors;
 }
 

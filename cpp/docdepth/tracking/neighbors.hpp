@@ -21,10 +21,10 @@ bool was_less_free(const Detection& object, float share);
 /// before or after than that of the others, and was occupied before them or after. And it is one if
 /// both together are wider than any vehicle.
 ///
-/// @param seen  of a sweep
-/// @param objects  indices of some detections; neighbors are removed
+/// @param seen    detections of a sweep
+/// @param chosen  indices of some of them; neighbors are removed
 /// @return samples of the neighbors
-SampledPoints drop_neighbors(const Detections& seen, std::vector<std::uint32_t>& objects);
+SampledPoints drop_neighbors(const Detections& seen, std::vector<std::uint32_t>& chosen);
 
 /// Whether a detection lies where neighbors of a track were seen: what was told apart stays apart.
 bool is_among(const Detection& object, const SampledPoints& neighbors);

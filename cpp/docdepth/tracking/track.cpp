@@ -6,12 +6,12 @@
 namespace docdepth {
 
 TrackObservation observe(std::size_t sweep, const Detections& detections,
-                         std::vector<std::uint32_t> objects) {
-  TrackObservation seen{.sweep = sweep, .box = detections[objects[0]].box};
-  const Detection* largest = &detections[objects[0]];
+                         std::vector<std::uint32_t> chosen) {
+  TrackObservation seen{.sweep = sweep, .box = detections[chosen[0]].box};
+  const Detection* largest = &detections[chosen[0]];
   std::uint32_t transient = 0, dynamic = 0;
   double offset = 0;
-  for (const auto k : objects) {
+  for (const auto k : chosen) {
     const Detection& object = detections[k];
     seen.box.add(object.box);
     seen.points += object.points;
@@ -28,7 +28,7 @@ TrackObservation observe(std::size_t sweep, const Detections& detections,
   seen.is_dynamic = 2 * dynamic >= seen.points;
   seen.time_offset = offset / double(seen.points);
   seen.ground = largest->ground;
-  seen.objects = std::move(objects);
+  seen.detections = std::move(chosen);
   return seen;
 }
 

@@ -17,8 +17,8 @@ namespace docdepth {
 /// What one sweep saw of a track.
 struct TrackObservation {
   std::size_t sweep = 0;
-  std::vector<std::uint32_t> objects{};  ///< indices of its detections
-  Extent box{};                          ///< around them
+  std::vector<std::uint32_t> detections{};  ///< indices of those of the sweep
+  Extent box{};                             ///< around them
   /// How far it went between the stamps of the last observation and of this one, by its samples
   /// [m].
   Eigen::Vector3f shift = Eigen::Vector3f::Zero();
@@ -29,9 +29,9 @@ struct TrackObservation {
   float transient_area = 0;   ///< of those that are transient
   float free_area = 0;        ///< of those whose place was free
   float porous_area = 0;      ///< of those whose place was hit and passed in turn
-  std::uint32_t points = 0;   ///< of its objects
+  std::uint32_t points = 0;   ///< of its detections
   double time_offset = 0;     ///< mean time of these points [s after the sweep's stamp]
-  GroundHeight ground{};      ///< under the object of most points
+  GroundHeight ground{};      ///< under the detection of most points
 
   bool is_mostly_transient() const { return transient_area >= kMinFreeShare * area; }
   /// What of its places was free at some time, though perhaps occupied again soon.
@@ -40,7 +40,7 @@ struct TrackObservation {
 
 /// Some detections of a sweep as an observation, without a shift.
 TrackObservation observe(std::size_t sweep, const Detections& detections,
-                         std::vector<std::uint32_t> objects);
+                         std::vector<std::uint32_t> chosen);
 
 struct Track {
   std::vector<TrackObservation> observations;  ///< ascending in time

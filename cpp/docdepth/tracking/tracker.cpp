@@ -140,7 +140,7 @@ class Tracker {
       Match match = find_match(state, index, may_take, times_[sweep], options_.matching);
       if (match.score > 0 && may_merge(sweep, match, dt) &&
           !was_occupied_before(state, sweep, *detections, match)) {
-        TrackObservation observation = observe(sweep, *detections, match.objects);
+        TrackObservation observation = observe(sweep, *detections, match.detections);
         observation.shift = match.shift;
         observation.shift_error = match.error;
         advance(state, match, observation);
@@ -183,7 +183,7 @@ class Tracker {
   }
 
   void own(int track, const TrackObservation& observation) {
-    for (const auto k : observation.objects) owners_[observation.sweep][k] = track;
+    for (const auto k : observation.detections) owners_[observation.sweep][k] = track;
     tracks_[track].transient_count += observation.is_transient;
   }
 
@@ -196,7 +196,7 @@ class Tracker {
     later.insert(later.begin(), earlier.begin(), earlier.end());
     tracks_[after].transient_count += tracks_[before].transient_count;
     for (const TrackObservation& seen : earlier)
-      for (const auto k : seen.objects) owners_[seen.sweep][k] = after;
+      for (const auto k : seen.detections) owners_[seen.sweep][k] = after;
     earlier = {};
     merged_.push_back(after);  // it goes on at its new beginning
   }
@@ -207,7 +207,7 @@ class Tracker {
     const auto samples_of = [&](const TrackObservation& of) {
       const auto detections = read_(of.sweep);
       TimedPoints samples;
-      for (const auto k : of.objects) docdepth::append(samples, (*detections)[k]);
+      for (const auto k : of.detections) docdepth::append(samples, (*detections)[k]);
       return samples;
     };
     TrackState state{.track = track,
@@ -230,7 +230,7 @@ class Tracker {
 
   /// Whether the earlier track that a match ends, if any, goes as fast as the match says.
   bool may_merge(std::size_t sweep, const Match& match, double dt) const {
-    for (const auto k : match.objects)
+    for (const auto k : match.detections)
       if (const int owner = owners_[sweep][k];
           owner >= 0 &&
           !last_velocities_[std::size_t(owner)].allows(-match.shift, -dt, match.error))
@@ -242,7 +242,7 @@ class Tracker {
   int earlier_track(const TrackObservation& observation, const Detections& detections) const {
     int found = -1;
     std::uint32_t most = 0;
-    for (const auto k : observation.objects) {
+    for (const auto k : observation.detections) {
       const int owner = owners_[observation.sweep][k];
       const std::uint32_t points = detections[k].points;
       if (owner < 0 || points <= most) continue;
@@ -287,7 +287,7 @@ class Tracker {
           return true;
       return false;
     };
-    return std::any_of(match.objects.begin(), match.objects.end(), stood);
+    return std::any_of(match.detections.begin(), match.detections.end(), stood);
   }
 
   ReadDetections read_;

@@ -20,7 +20,7 @@ ObjectTrack object(double x, double y, double speed, const Eigen::Vector3f& size
     const Eigen::Vector3d at(x + speed * time, y, 0);
     TrackObservation seen;
     seen.sweep = k;
-    seen.objects = {std::uint32_t(k)};
+    seen.detections = {std::uint32_t(k)};
     seen.box = box.moved(at.cast<float>());
     seen.area = area;
     seen.free_area = seen.transient_area = area;
@@ -85,7 +85,7 @@ TEST_CASE("a merged track has what each sweep saw of all its fragments") {
   CHECK(observations[4].area == 9'000);
   CHECK(observations[7].area == 10'000);
   CHECK(observations[7].points == 100);
-  CHECK(observations[7].objects.size() == 2);
+  CHECK(observations[7].detections.size() == 2);
   CHECK(observations[12].area == 1'000);
   for (std::size_t k = 1; k < 15; ++k) {
     CHECK(observations[k].sweep == k);

@@ -71,7 +71,7 @@ TEST_CASE("no road user changes its speed by more than it can") {
 TEST_CASE("an object goes on where its samples fall") {
   for (const auto& [x, y] : {std::pair(1.2, 0.3), std::pair(-2.0, 0.0), std::pair(0.4, -0.9)}) {
     const Match found = match({car_at(30, 9), car_at(x, y)});
-    REQUIRE(found.objects == Rows{1});
+    REQUIRE(found.detections == Rows{1});
     // Samples match exactly within 0.2 m, and of equal shifts the smaller one is taken.
     CHECK((found.shift - Eigen::Vector3f(float(x), float(y), 0)).norm() < 0.2f);
     CHECK(found.score > 0.8f);
@@ -83,12 +83,12 @@ TEST_CASE("an object goes on where its samples fall") {
 TEST_CASE("what may not be taken, or stands, is no continuation of what is not known to stand") {
   CHECK(match({car_at(1, 0)}, {}, {false}).score == 0);
   CHECK(match({car_at(1, 0, 0)}).score == 0);  // its place was never free
-  CHECK(match({car_at(0.2, 0, 0)}, velocity(2)).objects == Rows{0});
+  CHECK(match({car_at(0.2, 0, 0)}, velocity(2)).detections == Rows{0});
   CHECK(match({car_at(9, 0)}).score == 0);  // 90 m/s
 }
 
 TEST_CASE("a track goes on about as fast as it went") {
-  CHECK(match({car_at(1.15, 0)}, velocity(10)).objects == Rows{0});
+  CHECK(match({car_at(1.15, 0)}, velocity(10)).detections == Rows{0});
   // A car elsewhere matches in part, but no faster than 8 m/s^2 and the errors allow.
   CHECK(match({car_at(2.0, 0)}, velocity(10)).shift.x() <= 1 + 0.04f + 0.02f + 0.15f + 1e-4f);
   // Of two, the one that is expected.
@@ -109,7 +109,7 @@ TEST_CASE("samples are compared where they were at one time") {
   skewed.time_offset = late / float(skewed.surface.points.size());
   skewed.box = extent_of(skewed.surface.points);
   const Match found = match({skewed}, velocity(20));
-  REQUIRE(found.objects == Rows{0});
+  REQUIRE(found.detections == Rows{0});
   CHECK(found.shift.x() == doctest::Approx(2).epsilon(0.03));
 }
 
