@@ -11,8 +11,9 @@ from command_line import cli
 from docdepth.geometry import ground_plane
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry import first_motion
+from motion import straight
 from true_drive import write_true_drive
-from walled_yard import scan, straight
+from walled_yard import scan
 
 _NO_RECORDINGS = "DOCDEPTH_KITTI_RAW is not set: no real recordings"
 

@@ -5,7 +5,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from walled_yard import scan, straight
+from motion import straight
+from walled_yard import scan
 
 SWEEPS, WIDTH, HEIGHT = 4, 96, 40
 SPARSE = 7  # one ray of so many is measured

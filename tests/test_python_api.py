@@ -17,6 +17,7 @@ from docdepth.diagnostics.error_sources import find_error_sources
 from docdepth.errors import NOTE
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.io.tracks import read_tracks
+from motion import straight
 
 TIMES = np.arange(4) * 10**8
 K = [[500, 0, 320], [0, 500, 180], [0, 0, 1]]
@@ -26,13 +27,7 @@ STREAM = docdepth.CameraStream("front", CAMERA, T_CAMERA_LIDAR, TIMES, ["a", "b"
 RIGS = np.repeat(np.eye(4)[None], 301, axis=0)
 
 
-def _poses() -> np.ndarray:
-    poses = np.repeat(np.eye(4)[None], 4, axis=0)
-    poses[:, 0, 3] = 0.5 * np.arange(4)
-    return poses
-
-
-POSES = _poses()
+POSES = straight(4, 0.5).poses
 TRAJECTORY = docdepth.Trajectory(TIMES, POSES)
 
 

@@ -12,6 +12,7 @@ from docdepth.geometry.track import Track
 from docdepth.io.tracks import write_tracks
 from exact_drive import Street, nearest_box
 from lidar_rays import scan_rays
+from motion import moving_track, straight
 from small_drive import HEIGHT, TR, WIDTH, write_sweep
 
 SHUTTER = 0.37
@@ -101,12 +102,8 @@ def _times(sweeps: int) -> np.ndarray:
 def _track(k: int, sweeps: int, start: np.ndarray) -> Track:
     """The exact track of a car in the frame of the first sweep."""
     x, y, speed = _MOVERS[k]
-    poses = np.repeat(np.eye(4)[None], sweeps, axis=0)
-    poses[:, 0, 3] = x + speed * _PERIOD * np.arange(sweeps) - start[0, 3]
-    poses[:, 1, 3], poses[:, 2, 3] = y - start[1, 3], -start[2, 3]
-    velocities, exact = np.tile([speed, 0.0, 0.0], (sweeps, 1)), np.zeros(sweeps)
-    count = np.zeros(sweeps, np.int64)
-    return Track(k + 1, "vehicle", _times(sweeps), poses, velocities, _CAR, count, exact, exact)
+    place = (x, y, 0) - start[:3, 3]
+    return moving_track(straight(sweeps), place, (speed, 0, 0), _CAR, of=k + 1)
 
 
 def _write_table(path: Path, rows: np.ndarray) -> None:

@@ -2,16 +2,7 @@
 
 import numpy as np
 
-from docdepth.geometry.trajectory import Trajectory
 from lidar_rays import scan_rays
-
-
-def pose(x=0.0, y=0.0, yaw=0.0):
-    T = np.eye(4)
-    T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-    T[:2, 3] = x, y
-    return T
-
 
 ELEVATIONS, AZIMUTHS = np.arange(-15, 3, 0.4), np.arange(-180, 180, 0.25)
 RAYS = scan_rays(np.radians(ELEVATIONS), np.radians(AZIMUTHS)).reshape(-1, 3)
@@ -44,7 +35,3 @@ def cast(origin, u, box_x):
         box = np.where((enter < leave) & (enter > 0), enter, np.inf)
     hits = np.stack([floor, wall, box])
     return hits.min(0), hits.argmin(0)
-
-
-def straight(n, step, dt=100_000_000):
-    return Trajectory(np.arange(n) * dt, np.stack([pose(x=step * i) for i in range(n)]))

@@ -15,6 +15,7 @@ from docdepth.datasets import open_dataset
 from docdepth.geometry.se3 import inverse
 from docdepth.io.poses import write_kitti
 from docdepth.visualization.inspection import inspection_lines
+from motion import straight
 from small_drive import write_small_drive
 
 
@@ -117,9 +118,7 @@ def test_errors_of_poses_and_pages(tmp_path: Path) -> None:
 @pytest.mark.parametrize("with_poses", [True, False])
 def test_a_problem_ends_with_exit_code_2_after_the_page(tmp_path: Path, with_poses: bool) -> None:
     sequence = write_small_drive(tmp_path / "00")
-    poses = np.repeat(np.eye(4)[None], 4, axis=0)
-    poses[:, 0, 3] = 0.5 * np.arange(4)
-    write_kitti(tmp_path / "poses.txt", poses)
+    write_kitti(tmp_path / "poses.txt", straight(4, 0.5).poses)
     (sequence / "velodyne" / "000002.bin").write_bytes(b"\0" * 16)
     options = ["--poses", tmp_path / "poses.txt"] if with_poses else []
     result = cli("inspect", sequence, "-o", tmp_path / "a.html", *options)

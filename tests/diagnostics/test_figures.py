@@ -18,7 +18,8 @@ from docdepth.diagnostics.lidar_figures import (
 from docdepth.diagnostics.poses import Window, explain_misfit, pose_figures, share_on, windows_of
 from docdepth.geometry.ground_plane import find_ground, level_turn
 from docdepth.geometry.se3 import inverse
-from walled_yard import pose, scan
+from motion import pose
+from walled_yard import scan
 
 pytestmark = pytest.mark.usefixtures("whole_ground_search")
 

@@ -18,7 +18,8 @@ from docdepth.io.frames import write_trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify
 from lidar_rays import scan_rays
-from walled_yard import scan, straight
+from motion import straight
+from walled_yard import scan
 
 DEFAULT = parameters("default").dynamics
 

@@ -1,7 +1,7 @@
 """Which tracks a drive has: one for each thing that moves, whatever pieces it is seen in."""
 
 import pytest
-from test_tracking import CAR, Thing, detections_of, passes, straight, tracked, tracking_of
+from test_tracking import CAR, Thing, detections_of, drive_of, passes, tracked, tracking_of
 
 LORRY, WHEEL, COUNT = (9.0, 2.4, 2.6), (0.9, 2.5, 0.8), 30
 
@@ -9,7 +9,7 @@ LORRY, WHEEL, COUNT = (9.0, 2.4, 2.6), (0.9, 2.5, 0.8), 30
 def tracks_of(things, count=COUNT):
     """The tracks of a drive, and for each thing the tracks of its objects."""
     detections, rows = detections_of(things, count)
-    found = tracking_of(detections, straight(count))
+    found = tracking_of(detections, drive_of(count))
     owners = [set() for _ in things]
     for sweep, firsts in zip(found.sweeps, rows, strict=True):
         track_of = {int(first): int(track) for first, track, _ in sweep.members.tolist()}

@@ -8,11 +8,11 @@ from things import (
     RAYS,
     Thing,
     detections_of,
+    drive_of,
     measured,
     one_object,
     parked_at,
     ranges_of,
-    straight,
     tracking_of,
     tracks_of,
     waits,
@@ -20,6 +20,7 @@ from things import (
 
 from docdepth.geometry.trajectory import Trajectory
 from lidar_rays import scan_rays
+from motion import straight
 
 
 def test_a_pedestrian_whose_legs_vanish_behind_a_hedge_stays_upright():
@@ -51,9 +52,7 @@ def track_on_ground(size, place, count, slope=0.0, hidden=lambda i: 0.0):
         cloud = np.vstack([measured(ranges, box, rng), measured(down, ground, rng)])
         of_ground = np.arange(len(cloud)) >= np.count_nonzero(box)
         detections.append(one_object(cloud, i, ground=of_ground))
-    poses = np.repeat(np.eye(4)[None], count, 0)
-    trajectory = Trajectory(np.arange(count) * 100_000_000, poses)
-    (track,) = tracking_of(detections, trajectory).tracks
+    (track,) = tracking_of(detections, straight(count, 0)).tracks
     return track, np.array(heights)[track.times // 100_000_000]
 
 
@@ -101,8 +100,7 @@ def path_of(place, count, lost=()):
         ranges = ranges_of(CAR, (x, y, CAR[2] / 2 - 1.7), turn)
         cloud = measured(ranges, np.isfinite(ranges) & (i not in lost), rng)
         detections.append(one_object(cloud, i))
-    poses = np.repeat(np.eye(4)[None], count, 0)
-    found = tracking_of(detections, Trajectory(np.arange(count) * 100_000_000, poses))
+    found = tracking_of(detections, straight(count, 0))
     (track,) = found.tracks
     assert track.kind == "vehicle"
     return track, found.sweeps
@@ -124,7 +122,7 @@ def test_a_car_that_is_lost_is_where_its_motion_predicts_it():
 
 def test_the_box_of_a_standing_object_does_not_move():
     car = Thing(CAR, waits((15, 3), 20), range(50))
-    found = tracking_of(detections_of([car], 50)[0], straight(50)).sweeps
+    found = tracking_of(detections_of([car], 50)[0], drive_of(50)).sweeps
     assert not any(sweep.boxes["is_moving"].any() for sweep in found[:18])
     assert all(sweep.boxes["is_moving"].all() for sweep in found[28:])
     assert all(len(sweep.boxes) for sweep in found)
@@ -178,13 +176,13 @@ def test_a_lorry_that_overtakes_is_measured_at_different_times():
     moved = np.outer(late, (1, 0, 0))
     truth = np.stack([1.8 * np.arange(count) - 14, np.full(count, 4.0), np.zeros(count)], 1)
     detections = []
-    for i, T in enumerate(straight(count).poses):
+    for i, T in enumerate(drive_of(count).poses):
         middle = truth[i] - T[:3, 3] + (speed - 8) * moved
         ranges = np.min([ranges_of(np.array(size), middle + off) for size, off in parts], 0)
         hit = np.isfinite(ranges)
         cloud = (measured(ranges, hit, rng) + 8 * moved[hit]).astype(np.float32)
         detections.append(one_object(cloud, i, T, times=late[hit].astype(np.float32)))
-    (track,) = tracking_of(detections, straight(count)).tracks
+    (track,) = tracking_of(detections, drive_of(count)).tracks
     assert len(track) == count
     off = track.poses[:, 0, 3] - truth[:, 0]
     assert np.abs(off - np.median(off)).max() < 0.08  # 0.2 m as if all were measured at once
@@ -207,7 +205,7 @@ def test_what_stands_beside_a_van_makes_it_no_larger():
 
 def tracks_by_petals(at, count, share, seed, size=CAR):
     """Tracks of a thing that each of five petals of a sweep meets in this share of its rays."""
-    there = Trajectory(straight(count).times, np.repeat(straight(1).poses, count, 0))
+    there = Trajectory(drive_of(count).times, np.repeat(drive_of(1).poses, count, 0))
     rng, detections = np.random.default_rng(seed), []
     for i in range(count):
         petals, times = [], np.arange(0, 0.1, 0.02)

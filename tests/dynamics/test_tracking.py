@@ -14,10 +14,10 @@ from things import (
     Thing,
     Tracking,
     detections_of,
+    drive_of,
     parked_at,
     passes,
     rosette,
-    straight,
     tracked,
     tracking_of,
     tracks_of,
@@ -175,7 +175,7 @@ def test_shrubs_along_which_a_lost_track_goes_on_are_static():
     shrub = Thing((2.5, 1.5, 1.5), lambda i: tuple(at(i) + off[i]) if i > 20 else None)
     shrub.stay = lambda i, count: (False, 20, count - 1)
     detections, rows = detections_of([car, shrub], 60)
-    found = tracking_of(detections, straight(60))
+    found = tracking_of(detections, drive_of(60))
     (track,) = found.tracks
     sweeps = track.times // 100_000_000
     known = sweeps[track.deviations <= 0.5][-1]
@@ -240,7 +240,7 @@ def test_a_car_seen_once_does_not_go_on_as_one_that_comes_into_view_later():
 
 def test_a_car_is_tracked_by_two_sweeps_a_second():
     detections, _ = detections_of([Thing(CAR, passes(4), range(30))], 30)
-    slow = Trajectory(straight(30).times * 5, straight(30).poses)
+    slow = Trajectory(drive_of(30).times * 5, drive_of(30).poses)
     (track,) = tracking_of(detections, slow).tracks
     assert len(track) == 30
     np.testing.assert_allclose(track.velocities[:, 0], 8.0 / 5, atol=0.1)
@@ -273,7 +273,7 @@ def test_rails_have_no_number():
     rail = Thing((6.0, 0.24, 0.5), lambda i: (4 + 0.8 * i, 4, 0.25), range(30))
     car = Thing(CAR, lambda i: passes(-6, start=0)(i) if i > 8 else None, range(30))
     detections, _ = detections_of([rail, car], 30)
-    found = tracking_of(detections, straight(30))
+    found = tracking_of(detections, drive_of(30))
     assert [(track.id, track.kind) for track in found.tracks] == [(1, "vehicle")]
     assert found.tracks[0].size[2] > 1
     for rows in ("members", "boxes"):
@@ -284,7 +284,7 @@ def test_tracking_tells_how_much_is_done():
     things = random_things(np.random.default_rng(0), 20)[:4]
     detections, _ = detections_of(things, 20)
     told = []
-    track_objects(detections.__getitem__, straight(20), lambda sweep: None, 1, told.append)
+    track_objects(detections.__getitem__, drive_of(20), lambda sweep: None, 1, told.append)
     assert told == sorted(told)
     assert told[-1] == 20
     assert max(np.diff([0, *told])) < 0.2 * 20
@@ -293,7 +293,7 @@ def test_tracking_tells_how_much_is_done():
 def test_no_track_goes_over_a_gap():
     """Each part has the tracks that it has alone, with numbers of their own."""
     detections, _ = detections_of([Thing(CAR, passes(-6, start=0), range(30))], 30)
-    drive = straight(30)
+    drive = drive_of(30)
     times = drive.times + np.where(np.arange(30) < 12, 0, 2 * 10**9)
     both = tracking_of(detections, Trajectory(times, drive.poses))
     assert [track.id for track in both.tracks] == [1, 2]
@@ -417,7 +417,7 @@ def test_a_fence_that_seems_to_go_along_is_no_track():
     """Each sweep hits other slats, so that most of their places are hit and passed in turn."""
     for porous, was_free in ((0.3, False), (0.4, False), (0.4, True)):
         thing = Thing((2.0, 0.1, 1.2), passes(5), range(40), remembered=was_free, porous=porous)
-        found = tracking_of(detections_of([thing], 40)[0], straight(40)).tracks
+        found = tracking_of(detections_of([thing], 40)[0], drive_of(40)).tracks
         assert bool(found) == (porous < 1 / 3)
 
 
@@ -460,7 +460,7 @@ def test_a_car_is_tracked_though_each_sweep_of_a_rosette_sees_other_parts(seed):
 @pytest.mark.parametrize("seed", range(2))
 def test_of_a_lorry_a_rosette_is_enough_to_know_its_side(seed):
     """Its samples are as dense as those of a car, or those of two sweeps would miss each other."""
-    level = straight(40)
+    level = drive_of(40)
     poses = level.poses.copy()
     poses[:, 2, 3] = 3  # so high that its beams meet all of the lorry
     drive = Trajectory(level.times, poses)
@@ -475,7 +475,7 @@ def test_of_a_lorry_a_rosette_is_enough_to_know_its_side(seed):
 
 def test_a_lorry_is_tracked_though_every_other_sweep_sees_its_lower_part_only():
     """That is as high as a van, and cars of this height have few samples."""
-    level = straight(40)
+    level = drive_of(40)
     poses = level.poses.copy()
     poses[:, 2, 3] = 3
     drive = Trajectory(level.times, poses)
@@ -500,7 +500,7 @@ def test_what_the_lidar_sees_of_its_own_vehicle_is_not_tracked():
 
 def test_a_thing_beside_a_lidar_that_stands_is_tracked():
     """It waits for most of the drive, at the same place of both frames, and goes."""
-    there = Trajectory(straight(40).times, np.repeat(straight(1).poses, 40, 0))
+    there = Trajectory(drive_of(40).times, np.repeat(drive_of(1).poses, 40, 0))
     things = [Thing(PERSON, lambda i: (1 + max(0, i - 35) * 0.5, 2.0), range(36, 40))]
     assert len(tracks_of(things, 40, drive=there)) == 1
 
@@ -571,12 +571,12 @@ def test_tracks_do_not_depend_on_threads_or_files(seed):
     rng = np.random.default_rng(seed)
     detections, _ = detections_of(random_things(rng, 30), 30, seed)
     again = [_core.Detections.of(*seen.arrays) for seen in detections]
-    one, two = (tracking_of(detections, straight(30), threads) for threads in (1, 2))
+    one, two = (tracking_of(detections, drive_of(30), threads) for threads in (1, 2))
     assert len(one.tracks) >= 3
     same_tracking(one, two)
-    same_tracking(one, tracking_of(again, straight(30)))
+    same_tracking(one, tracking_of(again, drive_of(30)))
     claimed = [set(sweep.dynamic.tolist()) for sweep in one.sweeps]
-    times = straight(30).times * 1e-9
+    times = drive_of(30).times * 1e-9
     voxels = reference_voxels([seen.arrays for seen in detections], claimed, times)
     assert sum(len(of) for of in voxels) > 100
     for sweep, right in zip(one.sweeps, voxels, strict=True):
@@ -589,7 +589,7 @@ def test_a_drive_of_which_few_sweeps_are_held(monkeypatch):
     detections, _ = detections_of(random_things(np.random.default_rng(0), 60)[:8], count)
     saved = [seen.arrays for seen in detections]
     monkeypatch.setattr(tracking, "_HELD_SWEEPS", count)
-    right = tracking_of(detections, straight(count))
+    right = tracking_of(detections, drive_of(count))
     assert len(right.tracks) > 3
     for held, reads_a_sweep in ((1, 7), (20, 5), (count, 3)):
         monkeypatch.setattr(tracking, "_HELD_SWEEPS", held)
@@ -599,7 +599,7 @@ def test_a_drive_of_which_few_sweeps_are_held(monkeypatch):
             reads.append(sweep)
             return _core.Detections.of(*saved[sweep])
 
-        tracks = track_objects(read, straight(count), sweeps.append)
+        tracks = track_objects(read, drive_of(count), sweeps.append)
         same_tracking(Tracking(sweeps, tracks), right)
         assert len(reads) <= reads_a_sweep * count
 
@@ -610,7 +610,7 @@ def test_a_few_points_in_a_dynamic_voxel_are_dynamic():
     hedge = Thing((1.6, 0.6, 1.7), parked_at(9.5, 3.4))
     for things, moves in (((walker,), True), ((walker, hedge), False)):
         detections, _ = detections_of(things, 30)
-        found = tracking_of(detections, straight(30)).sweeps[15]
+        found = tracking_of(detections, drive_of(30)).sweeps[15]
         few = np.float32([(9.5, 3.0, 0.5), (9.5, 3.0, 1.4), (14.0, 3.0, 0.5)])
         place = TrackedSweep(voxels=found.voxels)
         none, alone = np.zeros(3, np.uint16), np.arange(3, dtype=np.uint32)

@@ -18,7 +18,8 @@ from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.se3 import rotation_exp
 from docdepth.geometry.trajectory import Trajectory
-from walled_yard import pose, scan, straight
+from motion import pose, straight
+from walled_yard import scan
 
 KITTI = os.environ.get("DOCDEPTH_KITTI_RAW")
 PAPER, DEFAULT = parameters("paper").dynamics, parameters("default").dynamics
@@ -177,7 +178,7 @@ def test_the_order_of_votes_equals_that_of_single_key_frames(yard):
 def test_votes_equal_the_reference_on_noise(vote_model):
     """Returns in all directions at ranges near the tolerance: every branch of the algorithm."""
     rng = np.random.default_rng(1)
-    T_query, T_key = pose(0.3, -0.2, 0.1), pose(-0.1, 0.4, -2.0)
+    T_query, T_key = pose(0.3, -0.2, yaw=0.1), pose(-0.1, 0.4, yaw=-2.0)
     for n in (300, 60_000):
         sweep, query = rng.normal(size=(2, n, 3)).astype(np.float32)
         for cloud in (sweep, query):

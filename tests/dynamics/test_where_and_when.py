@@ -23,8 +23,9 @@ from docdepth import (
 )
 from docdepth.geometry.se3 import se3_exp
 from docdepth.ground import growing
+from motion import pose
 from small_drive import write_small_drive
-from walled_yard import pose, scan
+from walled_yard import scan
 
 COUNT = 8
 
@@ -83,7 +84,8 @@ def test_the_time_and_the_type_of_poses(drive, known) -> None:
 @pytest.fixture(scope="module")
 def uneven() -> tuple[list[np.ndarray], np.ndarray]:
     """Steps of even lengths would lie on the limits by which sweeps are chosen for an image."""
-    poses = np.array([pose(0.47 * k + 0.013 * k**2, 0.017 * k, 0.003 * k) for k in range(COUNT)])
+    places = [(0.47 * k + 0.013 * k**2, 0.017 * k, 0, 0.003 * k) for k in range(COUNT)]
+    poses = np.array([pose(*place) for place in places])
     return [scan(T, -8 + 1.5 * i, 7)[0].astype(np.float32) for i, T in enumerate(poses)], poses
 
 

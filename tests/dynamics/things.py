@@ -9,8 +9,8 @@ import docdepth._core as _core
 from docdepth.dynamics.tracking import TrackedSweep, track_objects
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.track import Track
-from docdepth.geometry.trajectory import Trajectory
 from lidar_rays import scan_rays
+from motion import straight
 
 MEMORY = 30  # sweeps: for so long key frames remember a place
 NOISE = 0.1  # metres: a return so far outside a thing may be its own
@@ -108,7 +108,7 @@ def detections_of(things, count, seed=0, joined=None, drive=None):
     """
     rng = np.random.default_rng(seed)
     detections, rows = [], []
-    for i, T in enumerate((drive or straight(count)).poses[:count]):
+    for i, T in enumerate((drive or drive_of(count)).poses[:count]):
         points, about, stays, firsts, wholes, before = [], [], [], {}, {}, 0
         ranges = np.array([thing.ranges(i, T[:3, 3]) for thing in things])
         nearest = np.where(np.isfinite(ranges).any(0), ranges.argmin(0), -1)
@@ -157,11 +157,9 @@ def with_options(monkeypatch, **changed):
     monkeypatch.setattr(_core, "classify_objects", chosen)
 
 
-def straight(count):
+def drive_of(count):
     """The trajectory of the vehicle."""
-    poses = np.repeat(np.eye(4)[None], count, 0)
-    poses[:, 0, 3], poses[:, 2, 3] = 0.8 * np.arange(count), 1.7
-    return Trajectory(np.arange(count) * 100_000_000, poses)
+    return straight(count, 0.8, 1.7)
 
 
 class Tracking(NamedTuple):
@@ -181,13 +179,13 @@ def tracking_of(detections, trajectory, threads=0):
 def tracks_of(things, count, drive=None, **more):
     """The tracks of some things."""
     detections, _ = detections_of(things, count, drive=drive, **more)
-    return tracking_of(detections, drive or straight(count)).tracks
+    return tracking_of(detections, drive or drive_of(count)).tracks
 
 
 def tracked(things, count, **more):
     """For each thing the sweeps in which only tracks make it dynamic."""
     detections, rows = detections_of(things, count, **more)
-    found = tracking_of(detections, straight(count)).sweeps
+    found = tracking_of(detections, drive_of(count)).sweeps
     return [
         [i for i in range(count) if k in rows[i] and rows[i][k] in found[i].dynamic]
         for k in range(len(things))

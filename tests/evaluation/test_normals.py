@@ -13,8 +13,9 @@ from docdepth.errors import DatasetError
 from docdepth.evaluation.normals import WITHIN_DEG, NormalEvaluation, evaluate_normals, true_normals
 from docdepth.io.depth import write_depth
 from docdepth.io.run_folder import RunFolder
+from motion import straight
 from small_drive import HEIGHT, SWEEPS, WIDTH, write_small_drive
-from walled_yard import cast, straight
+from walled_yard import cast
 
 K = np.array([[700.0, 0, 300], [0, 650, 90], [0, 0, 1]])
 

@@ -18,6 +18,7 @@ from docdepth.geometry.se3 import rotation_exp
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.poses import write_tum
 from docdepth.io.run_folder import RunFolder
+from motion import straight
 
 
 def drive(count: int, seed: int, off: float = 0.0) -> Trajectory:
@@ -45,8 +46,7 @@ def test_a_path_that_begins_elsewhere_is_right() -> None:
 
 def test_errors_of_one_step_by_hand() -> None:
     """The last of four steps along a line is 30 cm too long, and turned by 3 degrees."""
-    poses = np.repeat(np.eye(4)[None], 5, axis=0)
-    poses[:, 0, 3] = range(5)
+    poses = straight(5).poses
     made = poses.copy()
     made[4, 0, 3] += 0.3
     made[4, :3, :3] = rotation_exp([0, 0, np.radians(3)])

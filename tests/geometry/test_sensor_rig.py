@@ -15,7 +15,6 @@ from docdepth.evaluation.runs import evaluate_depth, evaluate_labels
 from docdepth.geometry.camera import Camera, View
 from docdepth.geometry.lidar_frame import LidarFrame, SensorRig, lidar_views
 from docdepth.geometry.scan_mesh import ScanMesh
-from docdepth.geometry.se3 import rotation_exp
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry, run_render
@@ -23,15 +22,10 @@ from docdepth.render.depth_map import compose_depth, render_list
 from docdepth.render.render_sweep import RenderSweep
 from docdepth.synthetic import scene, sensor, write_drive
 from docdepth.synthetic.drive import Drive
+from motion import pose
 
 HIGH, LOW = 1.73, 0.5  # metres above the ground
 FRAMES = 8
-
-
-def pose(x, y, z, yaw=0.0):
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = rotation_exp(np.array([0, 0, yaw])), (x, y, z)
-    return T
 
 
 def test_each_lidar_views_its_own_points_from_its_own_place():

@@ -13,6 +13,7 @@ from docdepth.geometry.se3 import quaternion_to_matrix
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.ground import growing
 from docdepth.ground.growing import GroundMap, chunks, grow_ground
+from motion import pose
 
 pytestmark = pytest.mark.usefixtures("whole_ground_search")
 
@@ -25,13 +26,6 @@ def ground_of(sweeps, poses, ground=None):
     """Ground labels of a drive; ``ground`` are parameters."""
     trajectory = Trajectory(np.arange(len(poses)), poses)
     return grow_ground(sweeps, trajectory, Parameters(ground=ground or GroundParameters()))
-
-
-def pose(x=0.0, y=0.0, z=0.0, yaw=0.0):
-    T = np.eye(4)
-    T[:3, :3] = [[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]]
-    T[:3, 3] = x, y, z
-    return T
 
 
 def street(rng, n, noise=0.01):

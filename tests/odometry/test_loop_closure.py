@@ -23,6 +23,7 @@ from docdepth.odometry.registration_log import RegistrationLog
 from docdepth.odometry.sweeps import ThinnedSweeps
 from exact_drive import nearest_box
 from lidar_rays import scan_rays
+from motion import straight
 
 RADIUS, STEP = 30.0, 1.5  # metres; of the ring, and from sweep to sweep
 LAP = round(2 * np.pi * RADIUS / STEP)
@@ -128,8 +129,7 @@ def test_another_town_at_the_same_place_is_refused() -> None:
 
 
 def test_a_drive_that_does_not_come_back(ring: Ring) -> None:
-    poses = np.repeat(np.eye(4)[None], COUNT, axis=0)
-    poses[:, 0, 3] = STEP * np.arange(COUNT)
+    poses = straight(COUNT, STEP).poses
     assert close_loops(sweeps_of(ring), poses, SHARE) is poses
 
 
@@ -208,8 +208,7 @@ def test_each_check_refuses(name: str, value: float) -> None:
 
 def test_closures_have_to_agree() -> None:
     arc = 10.0 * np.arange(60)
-    poses = np.repeat(np.eye(4)[None], 60, axis=0)
-    poses[:, 0, 3] = arc
+    poses = straight(60, 10).poses
     drift = se3_exp(np.array([0.0, 0.0, 0.02]), np.array([-395.0, 2.0, 1.0]))
     right = [Edge(k, k + 40, inverse(poses[k]) @ drift @ poses[k + 40]) for k in range(5)]
     wrong = Edge(2, 43, right[2].pose @ se3_exp(np.zeros(3), np.array([12.0, 1.0, 0.0])))

@@ -18,8 +18,8 @@ from docdepth.io.labels import read_classes
 from docdepth.io.pcd import read_pcd, write_pcd
 from docdepth.io.poses import read_poses, read_timed_poses, write_kitti
 from docdepth.io.run_folder import RunFolder
+from motion import straight
 from small_drive import SWEEPS, write_small_drive
-from walled_yard import straight
 
 POSES = straight(SWEEPS, 0.5).poses
 

@@ -18,8 +18,8 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_inputs
 from docdepth.pipeline.plan import states
 from docdepth.pipeline.run_inputs import open_inputs, recording_of
+from motion import straight
 from small_drive import SWEEPS, results, write_small_drive, write_sweep
-from walled_yard import straight
 
 
 def test_rows_in_boxes_are_labelled_as_no_returns(tmp_path):

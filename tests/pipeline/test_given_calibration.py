@@ -22,8 +22,8 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.cameras import open_cameras
 from docdepth.pipeline.plan import states
 from docdepth.pipeline.run_inputs import open_inputs, open_recording
+from motion import straight
 from small_drive import HEIGHT, SWEEPS, WIDTH, write_small_drive
-from walled_yard import straight
 
 K = np.array([(62.0, 0.0, 47.0), (0.0, 61.0, 20.5), (0.0, 0.0, 1.0)])
 T = np.eye(4)

@@ -19,8 +19,8 @@ from docdepth.io.tracks import cut_tracks, read_tracks, write_tracks
 from docdepth.pipeline import classify
 from docdepth.pipeline.label_folder import LabelFolder
 from docdepth.pipeline.plan import states
+from motion import straight
 from small_drive import SWEEPS, write_small_drive
-from walled_yard import straight
 
 
 @pytest.fixture(scope="module")

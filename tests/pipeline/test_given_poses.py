@@ -19,8 +19,9 @@ from docdepth.pipeline.check import check_inputs
 from docdepth.pipeline.given_poses import read_given_poses
 from docdepth.pipeline.plan import states
 from docdepth.pipeline.run_inputs import known_poses, open_recording
+from motion import straight
 from small_drive import SPARSE, SWEEPS, write_small_drive
-from walled_yard import scan, straight
+from walled_yard import scan
 
 POSES = straight(SWEEPS, 0.5).poses
 

@@ -16,8 +16,8 @@ from docdepth.pipeline.plan import states
 from docdepth.pipeline.render_again import render_again
 from docdepth.pipeline.run import continue_run, run
 from docdepth.pipeline.run_all import run_all
-from small_drive import SWEEPS, write_small_drive
-from walled_yard import straight
+from motion import straight
+from small_drive import SWEEPS, results, write_small_drive
 
 
 @pytest.fixture(scope="module")
@@ -46,16 +46,6 @@ def make(root: Path, name: str, keep: str | None = None) -> RunFolder:
     return made.folder
 
 
-def contents(folder: Path) -> dict[str, bytes]:
-    """All files but notes and what has times in it."""
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in folder.rglob("*")
-        if path.is_file() and ".docdepth" not in path.parts
-        if path.name not in ("run.yaml", "index.html")
-    }
-
-
 def is_frame(name: str) -> bool:
     return name.startswith(("frames/", "classes/"))
 
@@ -65,7 +55,7 @@ def state_names(folder: Path) -> set[str]:
 
 
 def test_all_but_the_frames_stays(root: Path) -> None:
-    whole, alone = contents(root / "all"), contents(root / "results")
+    whole, alone = results(root / "all"), results(root / "results")
     assert sum(map(is_frame, whole)) == 2 * SWEEPS
     assert alone == {name: content for name, content in whole.items() if not is_frame(name)}
     assert not (root / "results" / "frames").exists()
@@ -81,24 +71,24 @@ def test_a_run_without_frames_is_done(root: Path) -> None:
 
 def test_frames_are_deleted_from_a_run_that_is_done(root: Path) -> None:
     make(root, "all", "results")
-    assert contents(root / "all") == contents(root / "results")
+    assert results(root / "all") == results(root / "results")
 
 
 def test_frames_are_made_again_bit_for_bit(root: Path) -> None:
     continue_run(root / "results", keep="frames", threads=1)
-    assert contents(root / "results") == contents(root / "all")
+    assert results(root / "results") == results(root / "all")
     assert "keep" not in str(states(RunFolder.open(root / "results")))
     make(root, "results")  # and they stay from now on
-    assert contents(root / "results") == contents(root / "all")
+    assert results(root / "results") == results(root / "all")
 
 
 def test_another_camera_makes_them_again_for_as_long_as_it_takes(root: Path) -> None:
     for name in ("all", "results"):
         run(root / "drive", root / name, poses=root / "poses.txt", camera="image_3", threads=1)
-    whole = contents(root / "all")
+    whole = results(root / "all")
     assert any("image_3" in name for name in whole)
     expected = {name: content for name, content in whole.items() if not is_frame(name)}
-    assert contents(root / "results") == expected
+    assert results(root / "results") == expected
 
 
 @pytest.mark.parametrize("deleted", [0, 1, 3])
@@ -120,13 +110,13 @@ def test_a_command_that_ends_while_it_deletes(
             make(root, "all", "results")
     assert state_names(root / "all") == {"done"}
     make(root, "all", keep)
-    left = sum(map(is_frame, contents(root / "all")))
+    left = sum(map(is_frame, results(root / "all")))
     assert left == (2 * SWEEPS if keep else 0)
 
 
 def test_what_needs_frames_says_how_to_have_them(root: Path) -> None:
     place = root / "results"
-    before = contents(place) | {"run.yaml": (place / "run.yaml").read_bytes()}
+    before = results(place) | {"run.yaml": (place / "run.yaml").read_bytes()}
     for command in (
         ("render", place, "--set", "render.ahead=5"),
         ("map", place),
@@ -140,7 +130,7 @@ def test_what_needs_frames_says_how_to_have_them(root: Path) -> None:
         assert f"docdepth run {place} --keep frames" in as_commands(str(result.exception)), command
     with pytest.raises(RunError, match="keep='frames'"):
         render_again(place, camera="image_3", threads=1)
-    assert contents(place) | {"run.yaml": (place / "run.yaml").read_bytes()} == before
+    assert results(place) | {"run.yaml": (place / "run.yaml").read_bytes()} == before
 
 
 def test_what_needs_none_works(root: Path) -> None:
@@ -155,7 +145,7 @@ def test_what_needs_none_works(root: Path) -> None:
 
 def test_a_command_says_what_stays(root: Path) -> None:
     assert cli("run", root / "all", "--keep", "results").exit_code == 0
-    assert contents(root / "all") == contents(root / "results")
+    assert results(root / "all") == results(root / "results")
     status = " ".join(cli("status", root / "all").output.split())
     assert "its frames were deleted" in status
 
@@ -165,7 +155,7 @@ def test_every_recording_keeps_only_its_results(root: Path) -> None:
     options = {"poses": root / "poses.txt", "keep": "results", "threads": 1}
     (ended,) = run_all(root / "drives", root / "runs", **options)
     assert ended.error is None
-    assert contents(ended.folder) == contents(root / "results")
+    assert results(ended.folder) == results(root / "results")
 
 
 def test_another_word_is_refused(root: Path) -> None:
@@ -179,6 +169,6 @@ def test_a_damaged_note_of_deleted_frames_is_not_believed(root: Path) -> None:
     lines = file.read_text().split("frames_deleted:")[0]
     file.write_text(lines + "frames_deleted: yes\n")
     make(root, "results")  # by the copy of run.yaml
-    assert contents(root / "results").keys() - {"run.yaml.old"} == {
-        name for name in contents(root / "all") if not is_frame(name)
+    assert results(root / "results").keys() == {
+        name for name in results(root / "all") if not is_frame(name)
     }

@@ -25,8 +25,9 @@ from docdepth.pipeline.odometry import run_odometry
 from docdepth.pipeline.plan import states
 from docdepth.pipeline.run import continue_run
 from docdepth.pipeline.run_inputs import known_poses, open_recording
+from motion import straight
 from small_drive import SPARSE, SWEEPS, write_image, write_small_drive, write_sweep
-from walled_yard import scan, straight
+from walled_yard import scan
 
 POSES = straight(SWEEPS, 0.5).poses
 

@@ -27,8 +27,9 @@ from docdepth.pipeline.plan import require, states
 from docdepth.pipeline.render_again import render_again
 from docdepth.pipeline.run import continue_run, run
 from docdepth.pipeline.run_inputs import known_poses, recording_of
-from small_drive import SPARSE, SWEEPS, write_image, write_small_drive, write_sweep
-from walled_yard import scan, straight
+from motion import straight
+from small_drive import SPARSE, SWEEPS, results, write_image, write_small_drive, write_sweep
+from walled_yard import scan
 
 VIRTUAL = virtual_camera("0,0,1", "40,40,32,16", "64x32")
 STAGES = {"odometry": ("min_range", [3.0, 3.5]), "dynamics": ("tolerance", [0.2, 0.3])}
@@ -80,23 +81,17 @@ class World:
                 render_again(made, entry.settings, name, threads=1)
         return made
 
+    def results(self) -> dict[str, bytes]:
+        """The results of the run, without files of the user and those kept beside new ones."""
+        own = {path.relative_to(self.run).as_posix() for path in self.own}
+        found = results(self.run).items()
+        return {name: content for name, content in found if name not in own and ".old" not in name}
+
     def products(self) -> list[Path]:
         """Every file in the run folder that docdepth wrote, notes included."""
         return sorted(
             p for p in self.run.rglob("*") if p.is_file() and p not in self.own and p.name != "lock"
         )
-
-
-def results(run_folder: Path, world: World) -> dict[str, bytes]:
-    """All results of a run: what is neither a note, nor the user's, nor has times in it."""
-    found = {}
-    for path in sorted(run_folder.rglob("*")):
-        name = path.relative_to(run_folder).as_posix()
-        if path.is_file() and path not in world.own and not name.startswith(".docdepth/"):
-            found[name] = path.read_bytes()
-    del found["run.yaml"], found["report/index.html"]
-    found.pop("run.yaml.old", None)  # a damaged one
-    return found
 
 
 # What may happen to a run. Each takes the world and a random number.
@@ -252,10 +247,8 @@ def test_run_ends_like_a_fresh_one_whatever_happened(tmp_path_factory, actions):
     folder = world.make()
 
     assert [s for s in states(folder, verify=True) if s.state != "done"] == []
-    made = results(world.run, world)
-    if world.notes_lost:  # where nothing tells whose a file is, it is kept beside the new one
-        made = {name: content for name, content in made.items() if ".old" not in name}
-    fresh = results(world.fresh(), world)
+    made = world.results()
+    fresh = results(world.fresh())
     if folder.manifest.keep == "results":
         fresh = {
             name: content
@@ -290,13 +283,13 @@ def test_a_camera_that_was_drawn_stays_though_the_report_was_refused(tmp_path: P
 
 def test_nothing_stays_of_a_camera_without_a_map(tmp_path: Path) -> None:
     world = World(tmp_path)
-    before = set(results(world.run, world))
+    before = set(world.results())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(DepthFiles, "write", Mock(side_effect=DocDepthError("too deep")))
         with pytest.raises(DocDepthError, match="too deep"):
             render_again(world.run, {}, "image_3", threads=1)
     assert "image_3" not in RunFolder.open(world.run).cameras
-    assert set(results(world.run, world)) == before
+    assert set(world.results()) == before
 
 
 def _check_that_little_was_written(

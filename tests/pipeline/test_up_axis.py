@@ -19,8 +19,9 @@ from docdepth.io.poses import read_poses, write_kitti
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline.run_inputs import find_ray_origin, find_up
 from exact_drive import Drive
+from motion import pose, straight
 from small_drive import SWEEPS, write_small_drive
-from walled_yard import pose, scan, straight
+from walled_yard import scan
 
 pytestmark = pytest.mark.usefixtures("whole_ground_search")
 

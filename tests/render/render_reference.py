@@ -9,13 +9,14 @@ import numpy as np
 from docdepth.config import RenderParameters
 from docdepth.geometry.camera import Camera, View
 from docdepth.geometry.lidar_frame import LidarFrame
-from docdepth.geometry.track import Track, Tracks
+from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.render import depth_map, layers
 from docdepth.render.depth_map import render_list
 from docdepth.render.dynamic_objects import dynamic_objects
 from docdepth.render.render_sweep import RenderSweep
 from docdepth.render.selection import static_sweeps
+from motion import straight
 
 # Camera axes in the LiDAR frame: x right = -y, y down = -z, z forward = x.
 AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], dtype=np.float64)
@@ -26,24 +27,6 @@ TRIANGLES = RenderParameters()
 def small_camera(width=160, height=60, focal=90.0):
     K = np.array([[focal, 0, width / 2 - 0.7], [0, focal * 1.1, height / 2 + 1.3], [0, 0, 1]])
     return Camera(K, width, height)
-
-
-def straight(n, spacing=1.0, dt=100_000_000):
-    poses = np.repeat(np.eye(4)[None], n, axis=0)
-    poses[:, 0, 3] = np.arange(n) * spacing
-    return Trajectory(np.arange(n) * dt, poses)
-
-
-def moving_track(trajectory, position, velocity, size, of=1, kind="vehicle"):
-    """A track that moves straight on: ``position`` at the first stamp."""
-    seconds = (trajectory.times - trajectory.times[0]) * 1e-9
-    poses = np.repeat(np.eye(4)[None], len(seconds), axis=0)
-    poses[:, :3, 3] = np.asarray(position) + seconds[:, None] * np.asarray(velocity, float)
-    velocities = np.repeat(np.asarray(velocity, float)[None], len(seconds), axis=0)
-    points = np.zeros(len(seconds), np.int64)
-    size = np.asarray(size, float)
-    exact = 0.0 * points
-    return Track(of, kind, trajectory.times, poses, velocities, size, points, exact, exact)
 
 
 def frame_of(points, classid, time_offset=None, sensor_rig=None, instance=None):

@@ -12,11 +12,9 @@ from render_reference import (
     compose_depth,
     compose_layers,
     followed,
-    moving_track,
     part_of,
     pixel_rays,
     render_sweep,
-    straight,
 )
 
 from docdepth.errors import BackendError
@@ -29,6 +27,7 @@ from docdepth.render.layers import AGREED
 from docdepth.render.object_views import HEIGHT_MARGIN, VEHICLE_HEIGHT, boxes_in_view
 from docdepth.render.selection import seen_to_its_top
 from lidar_rays import scan_rays
+from motion import moving_track, straight
 
 CAMERA = Camera(np.array([[200.0, 0, 160], [0, 200, 80], [0, 0, 1]]), 320, 120)
 VIEW = View(CAMERA, AXES, 0)

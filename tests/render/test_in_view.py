@@ -12,10 +12,8 @@ from render_reference import (
     compose_depth,
     drawing,
     frame_of,
-    moving_track,
     part_of,
     small_camera,
-    straight,
 )
 from test_moving_objects import wall_and_box
 
@@ -26,6 +24,7 @@ from docdepth.geometry.trajectory import Trajectory
 from docdepth.render.dynamic_objects import dynamic_objects
 from docdepth.render.object_views import MAX_NONRIGID_SECONDS, TracksInView, _in_view
 from docdepth.render.render_sweep import RenderSweep
+from motion import moving_track, straight
 
 CAMERA = small_camera(focal=600)  # 15 degrees wide; the LiDAR sees 69
 

@@ -12,11 +12,9 @@ from render_reference import (
     drawing,
     drive,
     followed,
-    moving_track,
     render_sweep,
     small_camera,
     splats_of,
-    straight,
 )
 
 from docdepth.errors import InputError
@@ -25,6 +23,7 @@ from docdepth.geometry.track import Tracks
 from docdepth.render.layers import _CONFIDENCE, LAYERS, confidence
 from docdepth.render.selection import static_sweeps
 from lidar_rays import scan_rays
+from motion import moving_track, straight
 
 OF_SPLATS = tuple(
     name for name in LAYERS if name not in ("normal", "normal_confidence", "instance", "seen")

@@ -13,11 +13,9 @@ from render_reference import (
     drawing,
     followed,
     frame_of,
-    moving_track,
     pixel_rays,
     render_sweep,
     small_camera,
-    straight,
 )
 
 from docdepth.geometry.camera import View
@@ -39,6 +37,7 @@ from docdepth.render.selection import (
     sweeps_of_track,
     track_sweeps,
 )
+from motion import moving_track, straight
 
 CORNERS = np.array([(x, y, z) for x in (-2, 2) for y in (-0.9, 0.9) for z in (0, 1.5)])
 

@@ -10,12 +10,12 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.points import DYNAMIC, GROUND, STATIC
 from docdepth.geometry.se3 import inverse
-from docdepth.geometry.track import Track, Tracks
-from docdepth.geometry.trajectory import Trajectory
+from docdepth.geometry.track import Tracks
 from docdepth.render import occupancy
 from docdepth.render.occupancy import CORNER, FREE, VOXEL, MountedCamera, Occupancy, OccupancyGrids
 from exact_drive import nearest_box
 from lidar_rays import scan_rays
+from motion import moving_track, straight
 
 SWEEPS, NOW, HEIGHT, EGO, SPEED, PERIOD = 11, 6, 1.8, 10.0, -9.0, 0.1
 GROUND_BOX = (-200, -200, -9), (200, 200, 0)
@@ -60,21 +60,14 @@ def measured(k: int) -> LidarFrame:
 
 @pytest.fixture(scope="module")
 def grids() -> OccupancyGrids:
-    times = np.arange(SWEEPS, dtype=np.int64) * round(PERIOD * 1e9)
-    poses = np.repeat(np.eye(4)[None], SWEEPS, axis=0)
-    poses[:, 0, 3], poses[:, 2, 3] = EGO * PERIOD * np.arange(SWEEPS), HEIGHT
-    places = np.repeat(np.eye(4)[None], SWEEPS, axis=0)
-    places[:, 0, 3], places[:, 1, 3] = PATH[0] + SPEED * times * 1e-9, PATH[1]
-    velocities, exact = np.tile([SPEED, 0.0, 0.0], (SWEEPS, 1)), np.zeros(SWEEPS)
-    points = np.zeros(SWEEPS, np.int64)
-    size = np.array(MOVER)
-    track = Track(7, "vehicle", times, places, velocities, size, points, exact, exact)
+    trajectory = straight(SWEEPS, EGO * PERIOD, HEIGHT)
+    track = moving_track(trajectory, (*PATH, 0), (SPEED, 0, 0), MOVER, of=7)
     camera = Camera(np.array([[60.0, 0, 48], [0, 60, 20], [0, 0, 1]]), 96, 40)
     T_camera_lidar = np.eye(4)
     T_camera_lidar[:3, :3] = (0, -1, 0), (0, 0, -1), (1, 0, 0)
     sweeps = [measured(k) for k in range(SWEEPS)]
     cameras = [MountedCamera(camera, T_camera_lidar)]
-    return OccupancyGrids(sweeps, Trajectory(times, poses), Tracks([track]), cameras)
+    return OccupancyGrids(sweeps, trajectory, Tracks([track]), cameras)
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from render_reference import compose_depth, drawing, pixel_rays, render_sweep
 import docdepth._core as _core
 from docdepth.config import RenderParameters
 from docdepth.geometry.camera import Camera
-from docdepth.geometry.trajectory import Trajectory
 from lidar_rays import TURN, directions, scan_rays
+from motion import straight
 
 F = np.float32
 
@@ -115,9 +115,7 @@ def test_bars_of_a_fence_are_where_most_sweeps_measured_them():
     # Returns are 0.8 degrees apart, 7 pixels; a bar is 15 to 20 pixels wide.
     elevations, azimuths = np.arange(-12, 12, 0.8), np.arange(-60, 60, 0.8)
     directions = scan_rays(np.radians(elevations), np.radians(azimuths)).reshape(-1, 3)
-    poses = np.repeat(np.eye(4)[None], 12, axis=0)
-    poses[:, 0, 3] = 0.53 * np.arange(12)
-    trajectory = Trajectory(np.arange(12) * 100_000_000, poses)
+    trajectory = straight(12, 0.53)
     camera = Camera(np.array([[500.0, 0, 250], [0, 500, 50], [0, 0, 1]]), 501, 101)
     truth = fence_and_wall(pixel_rays(camera), 0.0)
     # wrong: share of the drawn pixels; missed: share of all pixels that are wrong or empty
@@ -126,7 +124,7 @@ def test_bars_of_a_fence_are_where_most_sweeps_measured_them():
     for case, settings in cases.items():
         parameters = RenderParameters(step=0.5, behind=0.0, **settings)
         frames = []
-        for pose in poses:
+        for pose in trajectory.poses:
             ranges = fence_and_wall(directions, pose[0, 3])
             points = (directions * ranges[:, None])[(ranges > 0) & (ranges < 80)].astype(F)
             frames.append(render_sweep(points, np.full(len(points), 50, np.uint16), parameters))

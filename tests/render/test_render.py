@@ -17,13 +17,13 @@ from render_reference import (
     reference,
     render_sweep,
     small_camera,
-    straight,
 )
 
 from docdepth.config import RenderParameters
 from docdepth.errors import CalibrationError, InputError
 from docdepth.geometry.camera import Camera
 from docdepth.render.selection import needed_sweeps, static_sweeps
+from motion import straight
 
 
 @pytest.mark.parametrize(

@@ -10,17 +10,16 @@ from render_reference import (
     compose_depth,
     drawing,
     followed,
-    moving_track,
     pixel_rays,
     render_sweep,
     small_camera,
-    straight,
 )
 
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.track import Tracks
 from docdepth.render import render_sweep as render_sweep_module
 from lidar_rays import scan_rays
+from motion import moving_track, straight
 
 
 def spinning(rings=48, columns=1500):

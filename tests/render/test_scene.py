@@ -16,7 +16,6 @@ from render_reference import (
     drawing,
     render_sweep,
     small_camera,
-    straight,
 )
 
 from command_line import cli
@@ -30,7 +29,8 @@ from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.render.scene import Scene, render_depth, render_layers
 from docdepth.render.selection import needed_sweeps
-from walled_yard import pose, scan
+from motion import pose, straight
+from walled_yard import scan
 
 LAYERS = ("class", "time", "range", "support", "std", "confidence")
 

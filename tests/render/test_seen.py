@@ -12,10 +12,8 @@ from render_reference import (
     compose_layers,
     drawing,
     followed,
-    moving_track,
     pixel_rays,
     render_sweep,
-    straight,
 )
 
 from docdepth.errors import InputError
@@ -23,6 +21,7 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.track import Tracks
 from docdepth.render.layers import AGREED, CONTRADICTED, NOT_LOOKED_AT
 from lidar_rays import scan_rays
+from motion import moving_track, straight
 
 GROUND, WALL = -1.7, 25.0
 LOW, HIGH = -22.0, 6.0  # field of view [deg]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from render_reference import PAPER, TRIANGLES, compose_depth, drawing, moving_track, render_sweep
+from render_reference import PAPER, TRIANGLES, compose_depth, drawing, render_sweep
 
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
@@ -16,6 +16,7 @@ from docdepth.render.selection import (
     static_sweeps,
     times_needed,
 )
+from motion import moving_track
 
 
 def reference(trajectory, time, p):

@@ -9,17 +9,16 @@ from render_reference import (
     compose_layers,
     drawing,
     frame_of,
-    moving_track,
     pixel_rays,
     render_sweep,
     small_camera,
-    straight,
 )
 
 from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.track import Tracks
 from docdepth.render.dynamic_objects import dynamic_objects
 from docdepth.render.render_sweep import RenderSweep
+from motion import moving_track, straight
 
 PLACES = ((0.0, 0.0, 0.0), (0.4, 1.3, -0.8))
 """On the roof, and in the left of the bumper [m]."""
