@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 from results import parser_of, publish, script
 
-from docdepth.datasets.kitti_lidar import sensor_rig
 from docdepth.evaluation import Table
 from docdepth.evaluation.camera_error import images_and_maps
 from docdepth.geometry.camera import View
@@ -57,7 +56,8 @@ PEAK = 3.0  # pixels within which the median is taken: farther off is another ed
 def silhouettes(frame: LidarFrame) -> Iterator[tuple[NDArray[np.int64], int]]:
     """Rows of near returns from ring to ring, and 1 where their surface lies to the left, or -1."""
     points = frame.points.astype(np.float64)
-    ring = sensor_rig(frame.points).index.astype(np.int64)
+    assert frame.sensor_rig is not None
+    ring = frame.sensor_rig.index.astype(np.int64)
     azimuth, ranges = np.arctan2(points[:, 1], points[:, 0]), np.linalg.norm(points, axis=1)
     order = np.lexsort((-azimuth, ring))  # from left to right
     left, right = order[:-1], order[1:]

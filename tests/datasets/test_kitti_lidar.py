@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from docdepth.config import parameters
 from docdepth.datasets import kitti_lidar, open_dataset
 from docdepth.datasets.sensor_pose import ground_of
 from docdepth.evaluation.runs import evaluate_depth
+from docdepth.geometry.se3 import transform_points
 from docdepth.io.frames import read_sensors
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry, run_render
@@ -41,14 +43,15 @@ def test_real_sweeps_are_known_and_lie_on_the_cones(drive_0005):
     ring = np.cumsum(np.diff(azimuth, prepend=0) < -np.pi)
     assert (found.index == ring.clip(0, 63)).mean() > 0.998
     distance = np.hypot(points[:, 0], points[:, 1])
-    cone = kitti_lidar.HEIGHTS[found.index] + kitti_lidar.SLOPES[found.index] * distance
+    slopes = np.tan(np.arctan(kitti_lidar.SLOPES) + kitti_lidar.ELEVATION_ERROR)
+    cone = kitti_lidar.HEIGHTS[found.index] + slopes[found.index] * distance
     assert np.median(np.abs(cone - points[:, 2])) < 1e-3
 
 
 def test_neighbours_fire_evenly_only_as_seen_from_their_laser(drive_0005):
     """Across a depth jump the azimuth advances by whole steps if a laser's place is right."""
-    points = open_dataset(drive_0005).sweep(40).points
-    found = kitti_lidar.sensor_rig(points)
+    sweep = open_dataset(drive_0005).sweep(40)
+    points, found = sweep.points, sweep.sensor_rig
     azimuth = np.arctan2(points[:, 1], points[:, 0])
     nearness = 1 / np.maximum(np.hypot(points[:, 0], points[:, 1]), 0.1)
     step, jump = np.diff(azimuth), np.diff(nearness)
@@ -65,6 +68,22 @@ def test_neighbours_fire_evenly_only_as_seen_from_their_laser(drive_0005):
     assert same.sum() > 500
     assert rest["laser"] < 0.05
     assert rest["axis"] > 0.2
+
+
+def test_its_points_are_raised_and_the_camera_sees_them_where_they_were(drive_0005):
+    """By 0.205 degrees about the horizontal axis across each ray, as KISS-ICP does."""
+    dataset = open_dataset(drive_0005)
+    raw = np.fromfile(dataset.sweep_files(40)[0], np.float32).reshape(-1, 4)[:, :3]
+    axes = np.cross(raw, [0, 0, 1])
+    axes *= np.radians(0.205) / np.maximum(np.linalg.norm(axes, axis=1), 1e-9)[:, None]
+    raised = Rotation.from_rotvec(axes).apply(raw)
+    np.testing.assert_allclose(dataset.sweep(40).points, raised, atol=1e-4)
+    T = dataset.cameras["image_02"].T_camera_lidar
+    as_given = kitti_lidar.seen_raised(T, -kitti_lidar.ELEVATION_ERROR)
+    ahead = (np.abs(raw[:, 1]) < 0.01 * raw[:, 0]) & (raw[:, 0] > 3)
+    before, after = transform_points(as_given, raw[ahead]), transform_points(T, raised[ahead])
+    assert ahead.sum() > 100
+    assert np.abs(after / after[:, 2:] - before / before[:, 2:]).max() < 1e-4
 
 
 @pytest.mark.parametrize("name", sorted(sensors()))

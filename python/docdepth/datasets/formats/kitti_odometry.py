@@ -119,11 +119,9 @@ class KittiOdometry(Recording):
         times = self._times_file(index)
         return super().sweep_files(index) + [times] * times.is_file()
 
-    def _beam_width_deg(self) -> float:
-        made = isinstance(self._settings, KittiSettings) and self._settings.scene is not None
-        if made and self._settings.beam_width_deg is None:
-            return 0.0  # KITTI's LiDAR as it is simulated by default
-        return super()._beam_width_deg()
+    @property
+    def _simulated(self) -> bool:
+        return isinstance(self._settings, KittiSettings) and self._settings.scene is not None
 
     def _times_file(self, index: int) -> Path:
         return self.path / "point_times" / f"{self._readers[0].stream.names[index]}.bin"
