@@ -22,7 +22,7 @@ from docdepth.pipeline.render import report
 
 log = logging.getLogger(__name__)
 
-_VERSION = 8  # counted up when the same images ask for another change
+_VERSION = 9  # counted up when the same images ask for another change
 FITTED_IMAGES = 40
 """Images to which a camera is fitted, evenly along the path."""
 
@@ -134,7 +134,8 @@ _TURN, _TURN_AND_TIME = np.arange(7) < 3, np.array([True] * 3 + [False] * 3 + [T
 _PAN = np.arange(7) == 1
 _LEAST_PAN_DEG = 0.1  # along a short path; right cameras have seemed to be off by 0.07
 _LEAST_SCORE = 1.2  # right ones reach 1.4 to 2.2, another drive's images 1.0 to 1.1
-_ERRORS = 3.0  # standard errors by which displacement and gain exceed zero
+_ERRORS = 2.0  # standard errors by which displacement exceeds zero; of seven parts, few by chance
+_LEAST_GAIN = 3.0  # standard errors by which the gain does
 _MOST_ERROR_DEG = 0.1  # right ones reach 0.02 to 0.08; 0.3 and more where two changes fit alike
 
 
@@ -155,7 +156,7 @@ class CameraFit:
         return (
             self.moved_deg > max(_LEAST_MOVED_DEG, _ERRORS * self.error_deg)
             and self.error_deg < _MOST_ERROR_DEG
-            and self.gain > _ERRORS
+            and self.gain > _LEAST_GAIN
             and self.fit.score > _LEAST_SCORE
         )
 
