@@ -276,9 +276,9 @@ Json = Annotated[
 
 def changes(
     settings: list[str] | None,
-    format: list[str] | None = None,
-    scale: float | None = None,
-    layers: list[str] | None = None,
+    format: list[str] | None,
+    scale: float | None,
+    layers: list[str] | None,
 ) -> dict[str, object]:
     """Parameters that options change: those of ``--set``, and those with an option of their own."""
     chosen: dict[str, object] = {}

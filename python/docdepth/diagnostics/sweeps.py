@@ -62,7 +62,7 @@ def check_sweeps(
     recording: Dataset,
     files: list[list[Path]],
     parameters: Parameters,
-    has_poses: bool = False,
+    has_poses: bool,
 ) -> tuple[dict[int, Sweep], list[Finding]]:
     """Check times, sizes and sampled sweeps.
 

@@ -190,8 +190,8 @@ def fit_calibration(
 
 def edges_of_run(
     run: Path | str | RunFolder,
-    camera: str | None = None,
-    progress: Progress = null_progress,
+    camera: str | None,
+    progress: Progress,
     most: int = IMAGES,
 ) -> RunEdges:
     """Read what :func:`fit_calibration` compares; its parameters and errors."""

@@ -67,7 +67,7 @@ class ScanMesh:
         self.isolated = self.core.isolated
 
 
-def share_in_triangles(points: NDArray[np.float32], rig: SensorRig | None = None) -> float:
+def share_in_triangles(points: NDArray[np.float32], rig: SensorRig | None) -> float:
     """Share of the points that are corners of continuous triangles of the sweep's mesh.
 
     Returns on both sides of missing ones are neighbours here: what is seen of them tells where the

@@ -107,15 +107,16 @@ class Chunk(NamedTuple):
     merged: list[int]
 
 
-def chunks(trajectory: Trajectory, parameters: GroundParameters | None = None) -> list[Chunk]:
+def chunks(trajectory: Trajectory, parameters: GroundParameters) -> list[Chunk]:
     """Cut a drive into chunks of path length, in order (paper IV-A, l).
 
     None reaches over a gap: given poses may step there, and a step of a decimetre is a second road.
     """
-    p, found = parameters or GroundParameters(), list[Chunk]()
+    found = list[Chunk]()
     for part in trajectory.parts:
         arc = trajectory.arc_length[part.start : part.stop]
-        starts = [0, *(np.flatnonzero(np.diff(arc // p.chunk_length)) + 1).tolist(), len(arc)]
+        cuts = np.flatnonzero(np.diff(arc // parameters.chunk_length)) + 1
+        starts = [0, *cuts.tolist(), len(arc)]
         for begin, end in itertools.pairwise(starts):
             first = np.searchsorted(arc, arc[begin] - CHUNK_OVERLAP, "left")
             last = np.searchsorted(arc, arc[end - 1] + CHUNK_OVERLAP, "right")
@@ -138,8 +139,8 @@ def label_chunk(
     read: Callable[[int], NDArray[np.float32]],
     trajectory: Trajectory,
     parameters: GroundParameters,
-    threads: int = 0,
-    progress: Callable[[float], None] | None = None,
+    threads: int,
+    progress: Callable[[float], None],
     timer: Timer | None = None,
 ) -> Iterator[NDArray[np.bool_]]:
     """Ground labels of one chunk, sweep by sweep.
@@ -154,7 +155,7 @@ def label_chunk(
         Of the whole drive.
     threads : int
         0 for all cores.
-    progress : callable, optional
+    progress : callable
         Called with the share of the chunk that is done.
     timer : Timer, optional
         Takes the times of its steps.
@@ -164,7 +165,7 @@ def label_chunk(
     ndarray of bool, shape (N,)
         True for ground.
     """
-    progress, timer = progress or (lambda share: None), timer or Timer()
+    timer = timer or Timer()
     # Voxels are counted from the first pose of the part and have its axes, so labels do not depend
     # on the chunks, nor on the world's origin and north.
     part = trajectory.part(chunk.sweeps[0])

@@ -298,7 +298,7 @@ class RunFolder(RecordedFolder):
         remedy = f"it is written by: `docdepth.run(..., {str(self.path)!r})`"
         return read_calibration(self.calibration_folder(name), remedy)
 
-    def depth_folder(self, camera: str | None = None) -> str:
+    def depth_folder(self, camera: str | None) -> str:
         """The folder of a camera inside ``depth/``; empty for the first camera of a run."""
         folders = {name: entry.folder for name, entry in self.cameras.items()}
         if not folders and self.manifest.inputs is not None:

@@ -214,9 +214,7 @@ def open_labels(run: RunFolder) -> LabelFolder:
     return given
 
 
-def take_labels(
-    run: RunFolder, progress: Progress = null_progress, stage: Stage | None = None
-) -> None:
+def take_labels(run: RunFolder, progress: Progress, stage: Stage | None = None) -> None:
     """Write the classes that a run was given into ``classes/`` and ``labels/``.
 
     Ground is not grown and key frames do not vote. Tracks are those of the run whose labels these

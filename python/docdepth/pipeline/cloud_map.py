@@ -134,7 +134,7 @@ def write_map(run: RunFolder, voxel: float = VOXEL, progress: Progress = null_pr
 
 
 def gather_map(
-    run: RunFolder, voxel: float = VOXEL, progress: Progress = null_progress
+    run: RunFolder, voxel: float, progress: Progress = null_progress
 ) -> tuple[CloudMap, dict[int, VoxelCloud]]:
     """The map and the clouds of objects that :func:`write_map` writes, these by track.
 

@@ -129,7 +129,7 @@ def _hash(file: Path) -> str:
 def odometry_stage(
     run: RunFolder,
     recording: Dataset | None,
-    poses: NDArray[np.float64] | None = None,
+    poses: NDArray[np.float64] | None,
     first: Sweep | None = None,
 ) -> Stage:
     """Poses, and deskewed sweeps as frames.

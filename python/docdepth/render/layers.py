@@ -66,7 +66,7 @@ how much a plane may lean at least [rad]."""
 
 
 def compose_layers(
-    names: Sequence[str], depth: NDArray[np.float32], drawn: RenderList, threads: int = 0
+    names: Sequence[str], depth: NDArray[np.float32], drawn: RenderList, threads: int
 ) -> dict[str, NDArray[Any]]:
     """Gather layers of a depth map of :func:`~docdepth.render.depth_map.compose_depth`.
 

@@ -120,8 +120,8 @@ def prepare_sweep(
     index: int,
     trajectory: Trajectory,
     parameters: RenderParameters,
-    tracks: Tracks | None = None,
-    whole: bool = True,
+    tracks: Tracks | None,
+    whole: bool,
     is_drawn: Callable[[int, int], bool] | None = None,
 ) -> RenderSweep:
     """Prepare a classified sweep for rendering, or what of it is near vehicles.

@@ -46,11 +46,10 @@ class DrawnSweeps(NamedTuple):
 def drawn_sweeps(
     trajectory: Trajectory,
     time: int,
-    parameters: RenderParameters | None = None,
+    p: RenderParameters,
     tracks: Tracks | None = None,
 ) -> DrawnSweeps:
     """Select the sweeps of the image taken at ``time`` [ns]."""
-    p = parameters or RenderParameters()
     static, dynamic = static_sweeps(trajectory, time, p).tolist(), _dynamic(trajectory, time, p)
     if p.primitive == "splats" or not tracks:
         return DrawnSweeps(static, dynamic, [])
@@ -61,7 +60,7 @@ def drawn_sweeps(
 def needed_sweeps(
     trajectory: Trajectory,
     time: int,
-    parameters: RenderParameters | None = None,
+    parameters: RenderParameters,
     tracks: Tracks | None = None,
 ) -> dict[int, bool]:
     """All sweeps that :func:`~docdepth.render.depth_map.compose_depth` asks for.
@@ -100,9 +99,7 @@ def times_needed(
     return low, high
 
 
-def static_sweeps(
-    trajectory: Trajectory, time: int, parameters: RenderParameters | None = None
-) -> NDArray[np.int64]:
+def static_sweeps(trajectory: Trajectory, time: int, p: RenderParameters) -> NDArray[np.int64]:
     """Select the sweeps whose static points are drawn into the image taken at ``time`` [ns].
 
     A sweep is a candidate when its arc length is less than ``behind`` before or less than ``ahead``
@@ -122,7 +119,6 @@ def static_sweeps(
     ndarray of int64, shape (k,)
         Indices of the trajectory, in the order in which they are drawn.
     """
-    p = parameters or RenderParameters()
     here = float(trajectory.arc_length_at(time)[0])
     select = _spaced if p.primitive == "splats" else _thinned
     part = trajectory.part(trajectory.nearest(time))

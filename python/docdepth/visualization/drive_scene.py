@@ -95,8 +95,8 @@ def sweep_scene(
 def camera_views(
     run: RunFolder,
     trajectory: Trajectory,
-    camera: str | None = None,
-    stream: CameraStream | None = None,
+    camera: str | None,
+    stream: CameraStream | None,
     nearest: int | None = None,
 ) -> Iterator[tuple[int, CameraView]]:
     """A camera at the time [ns] of each of its depth maps, or of the one nearest to a time.

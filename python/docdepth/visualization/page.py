@@ -225,7 +225,7 @@ _WIPE = (
 
 
 def flip_book(
-    leaves: Sequence[Leaf], titles: Mapping[str, str], legends: Mapping[str, str], note: str = ""
+    leaves: Sequence[Leaf], titles: Mapping[str, str], legends: Mapping[str, str], note: str
 ) -> str:
     """Pictures with buttons for the views, a slider for the images, and one for the photo.
 
