@@ -34,7 +34,7 @@ def explain_yaml(error: yaml.YAMLError) -> str:
         return " ".join(str(error).split())
     what, begun = str(error.problem), error.context_mark or where
     if "\\t" in what:
-        what = "a tab stands before the name; indent by spaces"
+        what = "a tab stands where a space has to; indent by spaces"
     elif "mapping values" in what:
         what = "': ' where no value can be; indent the line as those around it, or quote a text"
     elif "<block" in what:

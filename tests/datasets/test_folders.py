@@ -254,6 +254,8 @@ def test_bytes_behind_the_points_are_zeros(tmp_path: Path) -> None:
     (tmp_path / "a.pcd").write_bytes(header.encode() + bytes(36) + b"\1")
     with pytest.raises(PcdError, match="1 bytes more than its 3 points"):
         read_pcd(tmp_path / "a.pcd")
+    (tmp_path / "a.pcd").write_bytes(header.encode() + bytes(36) + b"\r\n")
+    assert len(read_pcd(tmp_path / "a.pcd")[0]) == 3
 
 
 def test_integers_of_an_ascii_file_keep_their_digits(tmp_path: Path) -> None:
@@ -357,13 +359,23 @@ def test_a_jump_of_the_points_clock_is_told(folder: Path, caplog) -> None:
 # ---- poses, world, LiDARs
 
 
-@pytest.mark.parametrize("name", ["time_us", "PointTimestamp", "time_offset"])
+@pytest.mark.parametrize("name", ["time_us", "PointTimestamp", "scalar_GpsTime"])
 def test_times_of_points_of_other_names(folder: Path, name: str) -> None:
     expected = open_dataset(folder).sweep(1).relative_time
     for k in range(DRIVE.count):
         rows = rfn.rename_fields(folder_rows(k), {"time": name})
         write_vertices(folder / f"{k:06d}.ply", rows, [])
     np.testing.assert_array_equal(open_dataset(folder).sweep(1).relative_time, expected)
+
+
+def test_times_that_are_all_nan_are_none(folder: Path, caplog) -> None:
+    for k in range(DRIVE.count):
+        rows = folder_rows(k)
+        rows["time"] = np.nan
+        write_vertices(folder / f"{k:06d}.ply", rows, [])
+    (folder / "docdepth.yaml").write_text("rate: 10\n")
+    open_dataset(folder)
+    assert "points have no times" in caplog.text
 
 
 def test_points_of_the_world_come_to_the_lidar(folder: Path) -> None:

@@ -50,6 +50,23 @@ def test_text_under_another_name(tmp_path: Path, content: str) -> None:
     np.testing.assert_array_equal(points, [[1.5, 2.5, -3]] * 40)
 
 
+def test_millimetres_and_quotes(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text('"X (mm)","y [cm]",z,"Time (us)"\n"1500","-2.5","3","1e5"\n')
+    cloud = read_cloud(tmp_path / "a.csv", "a", RowFormat())
+    np.testing.assert_allclose(cloud.points, [[1.5, -0.025, 3]])
+    assert cloud.times is not None
+    assert cloud.times[0] == 1e5
+
+
+def test_grids_of_points(tmp_path: Path) -> None:
+    grid = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
+    named = grid.view([(c, "f4") for c in "xyzi"])[..., 0]
+    for k, array in enumerate((grid, named)):
+        np.save(tmp_path / f"{k}.npy", array)
+        cloud = read_cloud(tmp_path / f"{k}.npy", "a", RowFormat())
+        np.testing.assert_array_equal(cloud.points, grid.reshape(6, 4)[:, :3])
+
+
 def test_values_that_are_left_out_are_nan(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("x,y,z,\n1,2,3,\n\n,,,\n4,5,-1.#IND,\n")
     points = read_cloud(tmp_path / "a.csv", "a", RowFormat()).points

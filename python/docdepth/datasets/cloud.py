@@ -128,12 +128,13 @@ def cloud_from_fields(rows: NDArray[Any], where: str) -> Cloud:
 
     Intensity, ring and time have any of their usual names.
     """
-    names = {name.lower(): name for name in rows.dtype.names or ()}
+    # CloudCompare writes scalar_ before the names of what are no coordinates.
+    names = {name.lower().removeprefix("scalar_"): name for name in rows.dtype.names or ()}
     lacking = [axis for axis in "xyz" if axis not in names]
     if lacking:
         raise DatasetError(
             f"{where} has no field {lacking[0]}, only {', '.join(names) or 'none'}; points need "
-            "x, y and z in metres"
+            "x, y and z in metres; rename its fields, or say columns of a text in docdepth.yaml"
         )
     xyz = [rows[names[axis]] for axis in "xyz"]
     if any(column.ndim != 1 for column in xyz):

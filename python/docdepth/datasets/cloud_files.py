@@ -132,8 +132,11 @@ def _read_npy(file: Path, where: str, rows: RowFormat) -> Cloud:
         table = read_array(file)
     except ArrayError as error:
         raise DatasetError(f"{where} is no array of numpy ({error}); copy it again") from None
-    named = table if table.dtype.names else _named(table, rows, where)
-    return cloud_from_fields(named, where)
+    if table.dtype.names:
+        return cloud_from_fields(table.ravel(), where)
+    if table.ndim > 2:  # points lie in a grid of lasers and angles
+        table = table.reshape(-1, table.shape[-1])
+    return cloud_from_fields(_named(table, rows, where), where)
 
 
 def _read_text(file: Path, where: str, rows: RowFormat) -> Cloud:
@@ -153,7 +156,7 @@ def _named(table: NDArray[Any], rows: RowFormat, where: str) -> NDArray[Any]:
     if table.ndim != 2 or table.shape[1] != len(columns):
         raise DatasetError(
             f"{where} has shape {table.shape}, not (points, {len(columns)}) with the columns "
-            f"{' '.join(columns)}; say columns in docdepth.yaml"
+            f"{' '.join(columns)}; say columns in docdepth.yaml, or write a point a row"
         )
     return rows_of({name: table[:, k] for k, name in enumerate(columns) if name != "_"})
 

@@ -269,7 +269,7 @@ class Recording(DatasetRepr):
             samples = [
                 TimeSample(cloud.times, usable_points(points[k]), int(stamps[k]))
                 for k, cloud in clouds.items()
-                if cloud.times is not None
+                if cloud.times is not None and not np.isnan(cloud.times).all()
             ]
             where = f"{self.path}, {reader.stream.name}" if number else str(self.path)
             said = self._settings

@@ -14,7 +14,8 @@ from docdepth.io.untrusted import ArrayError, parse_numbers, read_file
 _MOST_TEXT = 1 << 30  # bytes of a file
 _LONGEST_HEAD = 100  # lines before the first point
 _COMMENTS = (b"#", b"//")
-_UNIT = re.compile(r"[\[(].*")  # behind a name: ``x [m]``
+_UNIT = re.compile(r"[\[(] *(\w*).*")  # behind a name: ``x [m]``
+_METRES = {"mm": 1e-3, "cm": 1e-2}  # other units are found in the values, or mean nothing
 _OF_PARAVIEW = re.compile(r"points.*:([012])")  # ``Points_m_XYZ:0`` of VeloView
 
 
@@ -56,7 +57,9 @@ def read_table(file: Path, where: str) -> tuple[list[str] | None, NDArray[np.flo
         table = parse_numbers(words, "f8")
     except ArrayError as error:
         raise DatasetError(f"{where} holds a value that is no number ({error})") from None
-    names = _names(lines[first - 1], mark) if first else []
+    names, scales = _names(lines[first - 1], mark) if first else ([], [])
+    if len(scales) == table.shape[1]:
+        table *= scales
     used = ~np.isnan(table).all(axis=0)
     used[: len(names)] = True  # a mark at the end of each line makes an empty column
     table = table[:, used]
@@ -71,7 +74,7 @@ def _mark(line: bytes) -> bytes | None:
 def _words(line: bytes, mark: bytes | None) -> list[bytes]:
     if mark == b";":
         line = line.replace(b",", b".")  # decimals of many countries
-    return [word.strip() for word in line.split(mark)]
+    return [word.strip(b' \t"') for word in line.split(mark)]
 
 
 def _is_row(line: bytes) -> bool:
@@ -82,18 +85,21 @@ def _is_row(line: bytes) -> bool:
         return False
 
 
-def _names(line: bytes, mark: bytes | None) -> list[str]:
+def _names(line: bytes, mark: bytes | None) -> tuple[list[str], list[float]]:
+    """Names of the columns, and what makes metres of their values."""
     for comment in _COMMENTS:
         line = line.removeprefix(comment)
     text = line.strip().decode("utf-8", "replace").lower()
     words = [word.strip(" \"'") for word in text.split(mark.decode() if mark else None)]
+    units = [_UNIT.search(word) for word in words]
+    scales = [_METRES.get(unit[1] if unit else "m", 1.0) for unit in units]
     named = {word for word in words if word in ("x", "y", "z")}
     for k, word in enumerate(words):
         word = _UNIT.sub("", word).strip()
         if (axis := _OF_PARAVIEW.fullmatch(word)) and "xyz"[int(axis[1])] not in named:
             word = "xyz"[int(axis[1])]
         words[k] = word or "_"
-    return words
+    return words, scales
 
 
 def _shown(line: bytes) -> str:

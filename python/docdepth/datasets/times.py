@@ -97,8 +97,8 @@ def _nanoseconds(text: str, line: int, path: Path) -> int:
         return int((seconds * 1_000_000_000).to_integral_value())
     except (ValueError, InvalidOperation, OverflowError):
         raise DatasetError(
-            f"{path}, line {line}: {text!r} is no time; write seconds, or dates like "
-            "2011-09-26 13:02:25.951199337"
+            f"{path}, line {line}: {text!r} is no time; write one time a line and nothing else, "
+            "seconds or dates like 2011-09-26 13:02:25.951199337"
         ) from None
 
 

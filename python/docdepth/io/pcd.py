@@ -237,7 +237,7 @@ def _read_binary(body: bytes, header: PcdHeader) -> NDArray[Any]:
     if len(body) < count * size:
         raise PcdError(f"is truncated: it holds {len(body) // size} of {count} points")
     rest = body[count * size :]
-    if len(rest) > _MOST_ZEROS or any(rest):
+    if len(rest) > _MOST_ZEROS or rest.strip(b"\0\r\n"):
         raise PcdError(f"holds {len(rest)} bytes more than its {count} points")
     return np.frombuffer(body, header.dtype(size), count).copy()
 
