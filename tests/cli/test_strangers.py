@@ -91,6 +91,14 @@ def test_a_folder_that_was_deleted_while_one_stands_in_it(docdepth, drive, tmp_p
     assert "the current directory does not exist any more" in ended.err
 
 
+def test_a_home_that_the_shell_did_not_write_out(docdepth, drive, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    assert docdepth("run", drive, "--output=~/run", "--camera", "none", "-q").code == 0
+    assert docdepth("status", "~/run").code == 0
+    assert [file.name for file in tmp_path.iterdir()] == ["run"]
+
+
 def test_unusable_points_are_kept_apart(drive, tmp_path):
     broken = tmp_path / "drive"
     shutil.copytree(drive, broken)
@@ -98,7 +106,8 @@ def test_unusable_points_are_kept_apart(drive, tmp_path):
     points = np.fromfile(path, np.float32).reshape(-1, 4)
     points[:50, 0] = np.nan
     points[50:90, 1] = np.inf
-    points[90:120, :3] = 0
+    points[90:110, :3] = 0
+    points[110:120, :3] = 2e5  # where nothing returned
     points.tofile(path)
     run = tmp_path / "run"
     result = cli("run", broken, "-o", run)
@@ -208,7 +217,7 @@ def test_nothing_in_a_run_leads_elsewhere(docdepth, copies, tmp_path, place, mak
     assert (tmp_path / "kept" / "frames").is_dir()
 
 
-@pytest.mark.parametrize("value", [np.nan, 2e6])
+@pytest.mark.parametrize("value", [np.nan, 2e5])
 def test_a_frame_that_no_lidar_has_seen(docdepth, copies, tmp_path, value):
     _, run = copies
     frame = read_frame(path := run / "frames" / "frame_000001.ply")
@@ -216,7 +225,7 @@ def test_a_frame_that_no_lidar_has_seen(docdepth, copies, tmp_path, value):
     write_frame(path, frame)
     ended = docdepth("convert", run, tmp_path / "grids", "--to", "occupancy")
     assert ended.code == 2
-    assert "frame_000001.ply is damaged (a point is not finite, or 1000 km away)" in ended.err
+    assert "frame_000001.ply is damaged (a point is not finite, or 100 km away)" in ended.err
 
 
 @pytest.mark.parametrize("name", [".docdepth/records/frames.jsonl", "frames/.x.ply.part"])

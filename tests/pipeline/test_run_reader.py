@@ -74,8 +74,9 @@ def test_sequences_count_from_the_end_and_are_cut(run: docdepth.Run, images: Run
     for wrong in (4, -5):
         with pytest.raises(IndexError, match="there are 4 images of image_2"):
             images[wrong]
-    with pytest.raises(docdepth.DocDepthError, match="integers"):
-        images["000001"]  # type: ignore[call-overload]
+    for strange in ("000001", np.array([0, 1]), True):
+        with pytest.raises(docdepth.DocDepthError, match="integers"):
+            images[strange]  # type: ignore[call-overload]
 
 
 def test_sweeps_have_the_classes_of_the_labels(run: docdepth.Run) -> None:
@@ -151,6 +152,8 @@ def test_reading_writes_nothing(copy: Path) -> None:
 def test_what_is_wrong_is_one_error(copy: Path, tmp_path: Path) -> None:
     with pytest.raises(docdepth.DocDepthError, match="holds no run"):
         docdepth.open_run(tmp_path / "none")
+    with pytest.raises(docdepth.DocDepthError, match=r"depth holds no run; name .*, which"):
+        docdepth.open_run(copy / "depth")
     (copy / "depth" / "000001.png").unlink()
     (copy / "depth" / "000002.png").write_bytes(b"no image")
     images = docdepth.open_run(copy).cameras["image_2"]
@@ -170,7 +173,9 @@ def test_a_run_without_its_recording_lacks_the_photos_alone(copy: Path) -> None:
         file.write_text(yaml.safe_dump(tree))
     image = docdepth.open_run(copy).cameras["image_2"][0]
     assert image.moving.shape == image.depth.shape
-    with pytest.raises(docdepth.DocDepthError, match=r"/away/drive, the recording of .* is away"):
+    with pytest.raises(
+        docdepth.DocDepthError, match=r"/away/drive, the recording of .* is not there"
+    ):
         _ = image.image
 
 

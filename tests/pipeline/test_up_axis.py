@@ -215,6 +215,11 @@ def test_where_the_rays_begin_is_found_for_points_in_the_frame_of_the_vehicle():
     )
 
 
+def test_hundreds_of_points_do_not_tell_where_the_rays_begin():
+    clouds = np.random.default_rng(0).normal(0, 10, (2, 600, 3))
+    assert estimate_sensor_origin(_Made(list(clouds))) is not None
+
+
 def test_rings_tell_where_the_rays_begin():
     """Height too, which neighbours hardly tell, and though the axis leans."""
     drive, turn = Drive(4), rotation_exp(np.radians([4.0, 9.0, 0.0]))

@@ -107,13 +107,22 @@ _SET_BLAS_THREADS = (
 )
 
 
+def _from_home(word: str) -> str:
+    """A word with its ``~/`` written out, which shells leave in quotes and behind ``--output=``.
+
+    A folder named ~ would be made, and who removes it by its name removes all that is theirs.
+    """
+    option, mark, value = word.rpartition("=") if word.startswith("--") else ("", "", word)
+    return option + mark + (os.path.expanduser(value) if value.startswith("~/") else value)
+
+
 def main() -> None:
     """Entry point: every end without a result is a sentence and an exit code, never a traceback."""
     try:
         keep_memory()
         take_one_blas_thread()
         print_any_path()
-        code = app(standalone_mode=False)
+        code = app(args=[_from_home(word) for word in sys.argv[1:]], standalone_mode=False)
         if code == STOPPED:  # typer has taken the KeyboardInterrupt
             raise KeyboardInterrupt
     except (Exception, KeyboardInterrupt) as error:

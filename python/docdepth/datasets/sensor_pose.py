@@ -281,7 +281,7 @@ def _spread(cloud: Cloud, place: Place) -> float:
     ranges = np.linalg.norm(rays, axis=1)
     rays = rays[ranges > _NEAREST] / ranges[ranges > _NEAREST, None]
     asking = np.zeros(len(rays), np.bool_)
-    asking[:: -(-len(rays) // _RAYS)] = True
+    asking[:: max(2, -(-len(rays) // _RAYS))] = True
     angles = _core.nearest_neighbors(
         np.ascontiguousarray(rays[~asking]), np.ascontiguousarray(rays[asking]), 1
     )[1]

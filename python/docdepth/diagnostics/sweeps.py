@@ -281,11 +281,10 @@ def _check_points(sweep: Sweep, place: str) -> list[Finding]:
     usable = usable_points(sweep.points)
     points = sweep.points[usable]
     if len(points) < _FEWEST_POINTS:
-        near = sweep.points[~usable]
-        near = near[np.isfinite(near).all(axis=1) & near.any(axis=1)]
+        near = np.sum(np.abs(sweep.points[~usable]).max(axis=1, initial=0) < 1)
         raise DatasetError(
-            f"{place} has {len(points)} usable points of {len(usable)}, {len(near)} lie within "
-            "0.5 m",
+            f"{place} has {len(points)} usable points of {len(usable)}: {near} lie within 0.5 m "
+            f"of the origin, {np.sum(~usable) - near} are NaN or beyond 100 km",
             "copy the sweep again, or give metres",
             code="empty-sweep",
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import fields
+from operator import index
 from threading import Lock
 from typing import Any
 
@@ -27,8 +28,12 @@ GROUND_LABELS = (40, 44, 48, 49, 60, 72)
 """SemanticKITTI's road, parking, sidewalk, other ground, lane marking and terrain."""
 
 
+FARTHEST = 1e5
+"""No LiDAR sees so far [m]: where nothing returned, some drivers write such numbers."""
+
+
 def usable_points(points: NDArray[np.float32], min_range: float = 0.5) -> NDArray[np.bool_]:
-    """Which rows are returns: finite, and not at the origin.
+    """Which rows are returns: not NaN, not at the origin, and not beyond :data:`FARTHEST`.
 
     Parameters
     ----------
@@ -43,8 +48,9 @@ def usable_points(points: NDArray[np.float32], min_range: float = 0.5) -> NDArra
     """
     x, y, z = points[:, 0], points[:, 1], points[:, 2]
     with np.errstate(invalid="ignore", over="ignore"):
-        squared = x * x + y * y + z * z  # overflows only beyond 1e19 m, where nothing returns
-        usable: NDArray[np.bool_] = np.isfinite(squared) & (squared >= min_range * min_range)
+        squared = x * x + y * y + z * z
+        usable: NDArray[np.bool_] = squared >= min_range * min_range
+        usable &= squared < FARTHEST * FARTHEST
     return usable
 
 
@@ -162,6 +168,16 @@ def _short(value: Any) -> str:
     if isinstance(value, list | tuple | dict) and len(value) > _SHOWN_ITEMS:
         return f"{type(value).__name__} of {len(value)}"
     return repr(value)
+
+
+def as_integer(value: Any, what: str) -> int:
+    """An integer of Python's, NumPy's or another library's; an error begins with ``what``."""
+    try:
+        if isinstance(value, bool):
+            raise TypeError
+        return index(value)
+    except TypeError:
+        raise InputError(f"{what}, not {value!r}") from None
 
 
 def float_array(name: str, values: ArrayLike) -> NDArray[np.float64]:

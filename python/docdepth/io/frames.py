@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError, InputError, RunError
 from docdepth.geometry.lidar_frame import LidarFrame, SensorRig
+from docdepth.geometry.points import FARTHEST
 from docdepth.geometry.se3 import matrix_to_quaternion, poses_from, quaternion_to_matrix
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import WriteFile, write_atomically
@@ -28,7 +29,6 @@ _TRAJECTORY = np.dtype(
     + [("indices", "<i4"), ("seconds", "<u4"), ("nanoseconds", "<u4")]
 )
 _GRID = 2.0**-48  # of quaternions in files: 7e-15 radians, 16 times what a double loses
-_FARTHEST = 1e6  # metres, of a coordinate; no LiDAR sees so far
 _LARGE = 0.4  # the largest component of a unit quaternion is at least 0.5
 _SECONDS = {"<u4": (0, 1 << 32), "<i4": (-(1 << 31), 1 << 31)}
 """Limits of what holds the seconds: 1970 to 2106, or 1902 to 2038 where a stamp is before 1970."""
@@ -249,8 +249,8 @@ def _points(path: Path, rows: NDArray[Any]) -> NDArray[np.float32]:
 
 def checked(path: Path, points: NDArray[np.float32]) -> NDArray[np.float32]:
     """The points of a frame, all of which a LiDAR may have seen."""
-    if not (np.abs(points) < _FARTHEST).all():
-        raise DamagedFileError(path, "a point is not finite, or 1000 km away")
+    if not (np.abs(points) < FARTHEST).all():
+        raise DamagedFileError(path, "a point is not finite, or 100 km away")
     return points
 
 

@@ -157,9 +157,13 @@ class RunFolder(RecordedFolder):
                     f"begin the run again: `docdepth.run(RECORDING, {str(path)!r})`",
                 )
             if not run.trajectory_path.is_file():
-                raise RunError(
-                    f"{path} holds no run", f"start one: `docdepth.run(RECORDING, {str(path)!r})`"
+                known = (run.path.parent / run._manifest_path.name).is_file()
+                remedy = (
+                    f"name {run.path.parent}, which is one"
+                    if known
+                    else f"start one: `docdepth.run(RECORDING, {str(path)!r})`"
                 )
+                raise RunError(f"{path} holds no run", remedy)
         return run
 
     def _check_unchanged(self) -> None:

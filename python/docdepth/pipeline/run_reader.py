@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from operator import index as as_integer
 from pathlib import Path
 from typing import Any, overload
 
@@ -17,10 +16,10 @@ from numpy.typing import NDArray
 
 from docdepth.config import Parameters
 from docdepth.datasets.base import CameraStream
-from docdepth.errors import DamagedFileError, InputError, RunError
+from docdepth.errors import DamagedFileError, RunError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.lidar_frame import LidarFrame
-from docdepth.geometry.points import DYNAMIC
+from docdepth.geometry.points import DYNAMIC, as_integer
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
@@ -30,7 +29,7 @@ from docdepth.io.tracks import tracks_in
 from docdepth.io.untrusted import read_layers
 from docdepth.pipeline.cameras import camera_parameters, run_cameras
 from docdepth.pipeline.cloud_map import VOXEL, CloudMap, gather_map
-from docdepth.pipeline.run_inputs import recording_of
+from docdepth.pipeline.run_inputs import check_place, recording_of
 from docdepth.render.layers import LAYERS, TRIANGLES_ONLY
 from docdepth.render.occupancy import MountedCamera, Occupancy, OccupancyGrids
 from docdepth.render.scene import Scene, render_layers
@@ -187,11 +186,10 @@ class RunSweeps(Sequence[LidarFrame]):
 
 
 def _place(index: int, count: int, what: str) -> int:
-    if not hasattr(index, "__index__"):
-        raise InputError(f"{what} are numbered by integers, not {index!r}")
+    index = as_integer(index, f"{what} are numbered by integers")
     if not -count <= index < count:
         raise IndexError(f"there are {count} {what}, and none has the number {index}")
-    return as_integer(index) % count
+    return index % count
 
 
 class RunImages(Sequence["RunImage"]):
@@ -251,16 +249,10 @@ class RunImages(Sequence["RunImage"]):
         return maps_in(self.run.path / "depth" / self.subfolder)
 
     @cached_property
-    def is_away(self) -> bool:
-        """Whether the recording, which holds the photos, is not there."""
-        path = self.run.folder.recording_path
-        return path is not None and not path.exists()
-
-    @cached_property
     def stream(self) -> CameraStream:
         """The camera as the recording has it; without photos where that is away."""
         folder = self.run.folder
-        if self.is_away or folder.recording_path is None:
+        if folder.recording_path is None or not folder.recording_path.exists():
             return CameraStream(self.name, self.camera, self.T_camera_lidar, self.times, self.names)
         return run_cameras(folder, recording_of(folder), [self.name])[0].stream
 
@@ -326,8 +318,7 @@ class RunImage:
             The recording is away, or has another image by now.
         """
         stream, run = self.of.stream, self.of.run
-        if self.of.is_away:
-            raise RunError(f"{run.folder.recording_path}, the recording of {run.path}, is away")
+        check_place(run.folder)
         if not stream.images:
             return None
         if self.name not in stream.names:

@@ -17,7 +17,7 @@ from docdepth.datasets.base import CameraStream
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.errors import InputError
 from docdepth.geometry.camera import View
-from docdepth.geometry.points import check_classes, usable_points
+from docdepth.geometry.points import as_integer, check_classes, usable_points
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.odometry.sweeps import AnySweep, lidar_frame
@@ -245,13 +245,10 @@ def _check(scene: Scene, camera: CameraStream) -> None:
 
 def _stamp(camera: CameraStream, index: int | None, time: int | None) -> int:
     if time is not None and index is None:
-        if not hasattr(time, "__index__"):
-            raise InputError(f"the time of an image is an integer, nanoseconds; got {time!r}")
-        return int(time)
+        return as_integer(time, "the time of an image is an integer, nanoseconds")
     if index is None or time is not None:
         raise InputError("give either the index of an image or a time [ns]")
-    if not hasattr(index, "__index__") or isinstance(index, bool):
-        raise InputError(f"the index of an image is an integer, not {index!r}")
+    index = as_integer(index, "the index of an image is an integer")
     count = len(camera.times)
     if not -count <= index < count:
         raise InputError(f"camera {camera.name} has {count} images; there is no image {index}")
