@@ -41,6 +41,17 @@ def test_masked_pixels_get_no_depth_and_others_the_same(small, tmp_path):
         np.testing.assert_array_equal(a, b)
 
 
+def test_a_mask_of_numbers_and_a_camera_that_stays_as_it_is():
+    K = np.array([[5.0, 0, 3], [0, 5, 2], [0, 0, 1]])
+    camera = docdepth.Camera(K, 6, 4, np.full((4, 6), 255, np.uint8))
+    assert camera.mask is not None
+    assert (~camera.mask).sum() == 0
+    with pytest.raises(ValueError, match="read-only"):
+        camera.K[:2] *= 0.5
+    with pytest.raises(DocDepthError, match="mask has 6 x 3 pixels"):
+        docdepth.Camera(K, 6, 4, [[True] * 6] * 3)
+
+
 def test_a_polygon_of_the_recording_and_a_mask_in_its_place(small, tmp_path):
     _, _, mask, seen = small
     other = write_small_drive(tmp_path / "drive")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import CalibrationError, InputError
-from docdepth.geometry.points import ShortRepr, float_array
+from docdepth.geometry.points import ShortRepr, as_array, float_array
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory
 
@@ -30,14 +30,14 @@ class Camera(ShortRepr):
     Attributes
     ----------
     K : ndarray of float64, shape (3, 3)
-        Intrinsic matrix in pixels; integer pixel coordinates are pixel centres.
+        Intrinsic matrix in pixels; integer pixel coordinates are pixel centres. Read-only.
     width : int
         Width of the image in pixels.
     height : int
         Height of the image in pixels.
     mask : ndarray of bool, shape (height, width), optional
-        True where the image shows the world. The other pixels, such as those of the own bonnet, get
-        no depth.
+        True where the image shows the world; of numbers, such as those of an image, all but 0. The
+        other pixels, such as those of the own bonnet, get no depth.
 
     Raises
     ------
@@ -88,14 +88,15 @@ class Camera(ShortRepr):
                 f"the principal point ({K[0, 2]:.1f}, {K[1, 2]:.1f}) lies outside the "
                 f"{width} x {height} image: the size does not fit K"
             )
-        if self.mask is not None and self.mask.shape != (height, width):
+        mask = None if self.mask is None else as_array(self.mask) != 0
+        if mask is not None and mask.shape != (height, width):
             raise CalibrationError(
-                f"the mask has {' x '.join(map(str, self.mask.shape[::-1]))} pixels, the image "
+                f"the mask has {' x '.join(map(str, mask.shape[::-1]))} pixels, the image "
                 f"{width} x {height}"
             )
-        object.__setattr__(self, "K", K)
-        object.__setattr__(self, "width", width)
-        object.__setattr__(self, "height", height)
+        K.setflags(write=False)  # all images of a run have the same one
+        for name, value in {"K": K, "width": width, "height": height, "mask": mask}.items():
+            object.__setattr__(self, name, value)
 
     def as_dict(self) -> dict[str, object]:
         """Plain values that tell this camera from others; of a mask a hash."""
