@@ -112,7 +112,7 @@ class Recording(DatasetRepr):
         self._take(lidars)
         if self._settings.sweep_duration is not None:
             self._resample(self._settings.sweep_duration)
-        if error := self._elevation_error:
+        if error := self.elevation_error:
             self.cameras = {
                 name: replace(
                     camera, T_camera_lidar=kitti_lidar.seen_raised(camera.T_camera_lidar, error)
@@ -298,8 +298,8 @@ class Recording(DatasetRepr):
         if number:
             T = stream.T_lidar_sensor
             points = transform_points(T, points.astype(np.float64)).astype(np.float32)
-        elif self._elevation_error:
-            points = kitti_lidar.raised(points, self._elevation_error)
+        elif self.elevation_error:
+            points = kitti_lidar.raised(points, self.elevation_error)
         return Part(number, cloud, points, relative, int(stream.times[own] - self.times[index]))
 
     def _in_lidar_frame(self, cloud: Cloud, own: int) -> NDArray[np.float32]:
@@ -345,7 +345,7 @@ class Recording(DatasetRepr):
         if self._settings.sensor_origin is not None:
             rig = SensorRig.single(self._settings.sensor_origin, len(points))
         elif self._is_kitti_lidar:
-            rig = kitti_lidar.sensor_rig(points, self._elevation_error)
+            rig = kitti_lidar.sensor_rig(points, self.elevation_error)
         elif several:
             rig = SensorRig.single((0, 0, 0), len(points))
         counts = {part.number: len(part.points) for part in parts}
@@ -363,7 +363,7 @@ class Recording(DatasetRepr):
         return False
 
     @property
-    def _elevation_error(self) -> float:
+    def elevation_error(self) -> float:
         """By how much points of the first LiDAR lie higher than their files say [rad]."""
         return kitti_lidar.ELEVATION_ERROR if self._is_kitti_lidar and not self._simulated else 0.0
 

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from docdepth.config import Parameters, replaced
 from docdepth.datasets import CameraStream, Dataset, FrameRange, full_recording, image_streams
+from docdepth.datasets.kitti_lidar import seen_raised
+from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import camera_mask
 from docdepth.datasets.times import read_times
 from docdepth.datasets.views import View
@@ -172,6 +174,15 @@ def as_recorded(recording: Dataset) -> Dataset:
     while isinstance(recording, View):
         recording = recording.whole
     return recording
+
+
+def place_for_poses(recording: Dataset, camera: str) -> NDArray[np.float64]:
+    """``T_camera_lidar`` (4, 4) as the files of a recording give it.
+
+    Poses of its cameras, as KITTI's are of camera 0, were made from those of the LiDAR by it.
+    """
+    T, whole = recording.cameras[camera].T_camera_lidar, as_recorded(recording)
+    return seen_raised(T, -whole.elevation_error) if isinstance(whole, Recording) else T
 
 
 def camera_names(wanted: Sequence[str] | None, recording: Dataset) -> list[str]:

@@ -23,6 +23,7 @@ from docdepth.io.labels import classes_of_labels, write_labels
 from docdepth.io.pcd import write_pcd
 from docdepth.io.poses import POSE_FORMATS, read_timed_poses, write_kitti, write_tum
 from docdepth.io.run_folder import RunFolder
+from docdepth.pipeline.cameras import place_for_poses
 from docdepth.pipeline.plan import require
 from docdepth.pipeline.run_inputs import open_recording
 
@@ -149,14 +150,14 @@ def _T_run_lidar(run: RunFolder) -> NDArray[np.float64]:
 
 def _camera_place(recording: Dataset, name: str) -> NDArray[np.float64]:
     """``T_camera_lidar`` of a camera; a run may have been made of a recording with more cameras."""
-    cameras = recording.cameras
     if recording.name == "run":
         run = RunFolder.open(recording.path)
         if run.recording_path is not None and run.recording_path.exists():
-            cameras = open_recording(run.inputs, run.manifest.derived).cameras
-    if name not in cameras:
-        raise ConfigError(f"{recording.path} has no camera {name!r}; it has {', '.join(cameras)}")
-    return cameras[name].T_camera_lidar
+            recording = open_recording(run.inputs, run.manifest.derived)
+    if name not in recording.cameras:
+        known = ", ".join(recording.cameras)
+        raise ConfigError(f"{recording.path} has no camera {name!r}; it has {known}")
+    return place_for_poses(recording, name)
 
 
 def _write_poses(

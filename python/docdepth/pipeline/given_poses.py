@@ -18,7 +18,7 @@ from docdepth.geometry.se3 import inverse
 from docdepth.io.inputs import OWN_POSES, camera_and_file
 from docdepth.io.poses import pose_times, read_poses
 from docdepth.odometry.pose_checks import misfit, move_upwards
-from docdepth.pipeline.cameras import as_recorded
+from docdepth.pipeline.cameras import as_recorded, place_for_poses
 
 _WRONG, _TIMES = 0.1, 3.0
 """Sweeps lie this far from those before them [m], and this many times as far as by the other
@@ -138,6 +138,6 @@ def _of_lidar(poses: NDArray[np.float64], camera: str, recording: Dataset) -> ND
             f"`poses={camera + ':...'!r}`: {recording.path} has no camera {camera!r}; it has "
             f"{known}"
         )
-    T = recording.cameras[camera].T_camera_lidar
+    T = place_for_poses(recording, camera)
     of_lidar: NDArray[np.float64] = inverse(T) @ poses @ T
     return of_lidar
