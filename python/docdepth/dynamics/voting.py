@@ -210,7 +210,7 @@ _RECENT = 256
 """Sweeps whose key frames are kept: those in hand ask several times."""
 
 
-class _Family(NamedTuple):
+class _Series(NamedTuple):
     """Key frames of one spacing."""
 
     frames: NDArray[np.int64]  # (k,): ascending
@@ -254,27 +254,27 @@ class KeyFrames:
         p = parameters or DynamicsParameters()
         self._arc, self._part = trajectory.arc_length, trajectory.part
         self._time = (trajectory.times - trajectory.times[0]) * 1e-9
-        self._families = [
-            self._family(trajectory.subsample(p.fine_spacing), p.fine_radius, np.inf),
-            self._family(trajectory.subsample(p.coarse_spacing), p.coarse_radius, np.inf),
+        self._series = [
+            self._spaced(trajectory.subsample(p.fine_spacing), p.fine_radius, np.inf),
+            self._spaced(trajectory.subsample(p.coarse_spacing), p.coarse_radius, np.inf),
         ]
         self._ends = np.zeros(0, np.int64)
         if p.time_spacing:
             often = trajectory.subsample(p.fine_spacing, p.time_spacing)
-            self._families.append(self._family(often, p.fine_radius, TIME_RADIUS))
+            self._series.append(self._spaced(often, p.fine_radius, TIME_RADIUS))
             last = [part[-1] for part in trajectory.parts]
             self._ends = np.union1d(trajectory.subsample(np.inf, END_SPACING), last)
         self._chosen = lru_cache(_RECENT)(self._choose)
 
-    def _family(self, frames: NDArray[np.int64], radius: float, duration: float) -> _Family:
-        return _Family(frames, self._arc[frames], self._time[frames], radius, duration)
+    def _spaced(self, frames: NDArray[np.int64], radius: float, duration: float) -> _Series:
+        return _Series(frames, self._arc[frames], self._time[frames], radius, duration)
 
     def __getitem__(self, i: int) -> NDArray[np.int64]:
         return self._chosen(i)
 
     def _choose(self, i: int) -> NDArray[np.int64]:
         time, ends, part = self._time, self._ends, self._part(i)
-        near = [of.near(self._arc[i], time[i]) for of in self._families]
+        near = [of.near(self._arc[i], time[i]) for of in self._series]
         if time[part[-1]] - time[i] <= END_RADIUS:
             near.append(ends[np.searchsorted(ends, i, "right") :])
         if time[i] - time[part[0]] <= END_RADIUS:

@@ -20,11 +20,11 @@ from docdepth.geometry.points import DYNAMIC, STATIC
 from docdepth.visualization.image_views import photo_of
 from docdepth.visualization.page import (
     FLIP_STYLE,
-    Leaf,
+    PageImage,
     depth_scale,
     embedded,
-    flip_book,
     head,
+    image_flipper,
     scale,
     scripts,
     swatches,
@@ -76,7 +76,7 @@ class ErrorPage:
     bars: str  # what the bars over all images show
     images: str = "images"  # what the images are of
     _scores: list[tuple[str, float]] = field(default_factory=list)
-    _worst: list[tuple[float, int, Leaf]] = field(default_factory=list)
+    _worst: list[tuple[float, int, PageImage]] = field(default_factory=list)
 
     def add(
         self, name: str, score: float, caption: str, pictures: Callable[[], dict[str, Picture]]
@@ -87,18 +87,18 @@ class ErrorPage:
         if len(self._worst) == WORST and score <= self._worst[-1][0]:
             return
         views = {view: embedded(picture, _BYTES) for view, picture in pictures().items()}
-        self._worst.append((score, -number, Leaf(caption, views)))
+        self._worst.append((score, -number, PageImage(caption, views)))
         self._worst = sorted(self._worst, key=lambda entry: entry[:2], reverse=True)[:WORST]
 
     def write(self, path: Path, tables: Iterable[Table], found: Iterable[str] = ()) -> None:
         """Write the page."""
-        leaves = [leaf for _, _, leaf in self._worst]
+        images = [image for _, _, image in self._worst]
         parts = [head(self.title, FLIP_STYLE + _STYLE), f"<p>{escape(self.what)}</p>"]
         parts += [f"<p><b>warning:</b> {escape(line)}</p>" for line in found]
-        if leaves:
-            of = f"worst first, {len(leaves)} of {len(self._scores)}"
-            book = flip_book(leaves, self.titles, self.legends, of)
-            parts += [f"<h2>The worst {self.images}</h2>", book]
+        if images:
+            of = f"worst first, {len(images)} of {len(self._scores)}"
+            pictures = image_flipper(images, self.titles, self.legends, of)
+            parts += [f"<h2>The worst {self.images}</h2>", pictures]
             parts += [f"<h2>All {self.images}</h2>", self._chart()]
         parts.append("<h2>Figures</h2>")
         for one in tables:

@@ -59,7 +59,7 @@ button[aria-pressed=true] { background: var(--accent); color: var(--paper) }
   background: #000b; pointer-events: none; font-variant-numeric: tabular-nums }
 [hidden], .views img[hidden] { display: none }
 """
-"""Of a page with a :func:`flip_book`."""
+"""Of a page with a :func:`image_flipper`."""
 
 _DEPTH_TICKS = (3, 5, 10, 20, 40, 80)  # metres
 _QUALITIES = (90, 80, 65, 45, 25, 10)
@@ -206,8 +206,8 @@ def depth_scale() -> str:
     )
 
 
-class Leaf(NamedTuple):
-    """An image of a book."""
+class PageImage(NamedTuple):
+    """An image of a page, seen in several ways."""
 
     caption: str
     # links that hold the pictures, by view. The view ``image`` is the photo, which others can be
@@ -224,14 +224,14 @@ _WIPE = (
 )
 
 
-def flip_book(
-    leaves: Sequence[Leaf], titles: Mapping[str, str], legends: Mapping[str, str], note: str
+def image_flipper(
+    images: Sequence[PageImage], titles: Mapping[str, str], legends: Mapping[str, str], note: str
 ) -> str:
     """Pictures with buttons for the views, a slider for the images, and one for the photo.
 
     Parameters
     ----------
-    leaves : sequence of Leaf
+    images : sequence of PageImage
         At least one; the first one has views.
     titles : mapping of str to str
         What the button of each view says; views that no image has are left out.
@@ -240,24 +240,24 @@ def flip_book(
     note : str
         What follows the caption.
     """
-    views = [view for view in titles if any(view in leaf.views for leaf in leaves)]
+    views = [view for view in titles if any(view in image.views for image in images)]
     first = views[0]
     pictures = [
-        f'<img src="{leaf.views[view]}" data-image={k} data-view={view} '
+        f'<img src="{image.views[view]}" data-image={k} data-view={view} '
         f'alt="{escape(titles[view])}"{"" if k == 0 and view == first else " hidden"}>'
-        for k, leaf in enumerate(leaves)
+        for k, image in enumerate(images)
         for view in views
-        if view in leaf.views
+        if view in image.views
     ]
     pictures += [
-        f'<img src="{leaf.values}" data-values={k} alt="" hidden>'
-        for k, leaf in enumerate(leaves)
-        if leaf.values
+        f'<img src="{image.values}" data-values={k} alt="" hidden>'
+        for k, image in enumerate(images)
+        if image.values
     ]
     names = [
-        f'<span class=name data-of={k} data-seconds={leaf.seconds:.3f} data-file="'
-        f'{escape(leaf.file)}"{" hidden" if k else ""}>{escape(leaf.caption)}</span>'
-        for k, leaf in enumerate(leaves)
+        f'<span class=name data-of={k} data-seconds={image.seconds:.3f} data-file="'
+        f'{escape(image.file)}"{" hidden" if k else ""}>{escape(image.caption)}</span>'
+        for k, image in enumerate(images)
     ]
     buttons = [f"<button data-choose={view}>{escape(titles[view])}</button>" for view in views]
     shown = [
@@ -270,7 +270,7 @@ def flip_book(
         f"<div class=views>{''.join(pictures)}<output hidden></output></div>{''.join(shown)}",
         _WIPE if "image" in views[1:] else "",
         "<div class=row><button class=before aria-label='image before'>&larr;</button>",
-        f"<input class=image type=range min=0 max={len(leaves) - 1} value=0 aria-label=image>",
+        f"<input class=image type=range min=0 max={len(images) - 1} value=0 aria-label=image>",
         "<button class=after aria-label='next image'>&rarr;</button></div>",
         f"<p>{''.join(names)} <span class=note>({escape(f'{note}; {how}')})</span></p></div>",
     ])  # fmt: skip

@@ -26,8 +26,8 @@ from docdepth.visualization.image_views import CONFIDENCE_COLORS, DOUBTFUL, SEEN
 from docdepth.visualization.page import (
     FLIP_STYLE,
     depth_scale,
-    flip_book,
     head,
+    image_flipper,
     scale,
     scripts,
     swatches,
@@ -187,9 +187,9 @@ def _warnings(run: RunFolder) -> str:
 
 def _camera(run: RunFolder, page: CameraPage, trajectory: Trajectory) -> str:
     """Images of a camera to flip between, its density and its held-out errors."""
-    within = sum(bool(leaf.views) for leaf in page.leaves)
-    note = f"{within} of {len(page.leaves)} images with all views"
-    bare = not any("image" in leaf.views for leaf in page.leaves)
+    within = sum(bool(image.views) for image in page.images)
+    note = f"{within} of {len(page.images)} images with all views"
+    bare = not any("image" in image.views for image in page.images)
     no_photos = "No photos of this camera are at hand, so classes are drawn on black."
     verdict = run.stage(f"render {page.name}").calibration
     fit = run.cameras[page.name].fit if page.name in run.cameras else None
@@ -198,7 +198,7 @@ def _camera(run: RunFolder, page: CameraPage, trajectory: Trajectory) -> str:
     return "\n".join([
         f"<section class=camera><h2>Camera {escape(page.name)}</h2>"
         + f"<p class=note>{no_photos}</p>" * bare,
-        flip_book(page.leaves, _VIEWS, _legends(), note),
+        image_flipper(page.images, _VIEWS, _legends(), note),
         _density(page.density, int(trajectory.times[0])),
         asked + edges,
         _held_out(run, page.name),

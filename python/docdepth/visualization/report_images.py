@@ -16,7 +16,7 @@ from docdepth.io.depth import described_maps, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.untrusted import read_layers
 from docdepth.visualization.image_views import draw_tracks, photo_of, view_of_layer, view_of_points
-from docdepth.visualization.page import Leaf, embedded, embedded_depth
+from docdepth.visualization.page import PageImage, embedded, embedded_depth
 from docdepth.visualization.pictures import Picture, colorize, reduced
 
 IMAGES = 12
@@ -36,9 +36,9 @@ class CameraPage(NamedTuple):
     name: str
     # its images, some of them with the views ``image``, ``depth``, ``class`` and layers, the others
     # as the files beside the page
-    leaves: list[Leaf]
+    images: list[PageImage]
     density: list[tuple[int, float]]  # time [ns] and share of pixels with depth of each map
-    # the same share of the pixels below the horizon, mean over the leaves; NaN without such
+    # the same share of the pixels below the horizon, mean over the images; NaN without such
     below_horizon: float
 
 
@@ -55,25 +55,25 @@ def camera_pages(
         if not names:
             continue
         is_below = below_horizon(*run.calibration(entry.folder)[:2])
-        leaves, shares = [], []
+        images, shares = [], []
         within = set(np.rint(np.linspace(0, len(names) - 1, min(count, len(names)))).astype(int))
         for k, name in enumerate(names):
             seconds = (maps[name][0] - start) * 1e-9
-            leaf = Leaf(f"image {name} at {seconds:.1f} s", {}, seconds)
+            image = PageImage(f"image {name} at {seconds:.1f} s", {}, seconds)
             if k not in within:
                 file = Path(entry.folder, f"{name}.jpg").as_posix()
-                leaves.append(leaf._replace(file=file))
+                images.append(image._replace(file=file))
                 continue
             depth = read_depth(files[name])
             photo = photo_of(streams.get(camera), name)
             pictures = _pictures(run, entry.folder, name, maps[name][0], photo, tracks)
             pictures["depth"] = colorize(depth, bar=False)
             views = {view: embedded(_reduced(p), most) for view, p in pictures.items()}
-            leaves.append(leaf._replace(views=views, values=embedded_depth(depth, _VALUES)))
+            images.append(image._replace(views=views, values=embedded_depth(depth, _VALUES)))
             if is_below.any():
                 shares.append(np.isfinite(depth[is_below]).mean())
         below = float(np.mean(shares or [np.nan]))
-        yield CameraPage(camera, leaves, [maps[name] for name in names], below)
+        yield CameraPage(camera, images, [maps[name] for name in names], below)
 
 
 def budget(cameras: int) -> tuple[int, int]:
