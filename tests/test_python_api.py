@@ -248,6 +248,23 @@ def test_classes_are_taken_as_people_have_them(sweeps, labels) -> None:
         docdepth.render_depth(wrong, STREAM, 1)
 
 
+def test_inputs_of_a_run_are_files(drive: Path, tmp_path: Path) -> None:
+    for poses in ([np.eye(4)] * 9, np.tile(np.eye(4), (9, 1, 1))):
+        with pytest.raises(
+            docdepth.DocDepthError, match=r"^a \w+ is not a path; give that of its .* file$"
+        ):
+            docdepth.run(drive, tmp_path / "run", poses=poses)
+    with pytest.raises(
+        docdepth.DocDepthError, match=r"frames is \[0, .{50,60}\.\.\.: Input should be"
+    ):
+        docdepth.run(drive, tmp_path / "run", frames=list(range(99)))
+
+
+def test_a_sweep_has_a_time_in_nanoseconds() -> None:
+    with pytest.raises(docdepth.DocDepthError, match=r"an integer, nanoseconds, not 0\.1"):
+        docdepth.Sweep(np.zeros((9, 3), np.float32), "a", 0.1)
+
+
 def test_poses_may_be_a_trajectory(drive: Path) -> None:
     dataset = docdepth.open_dataset(drive)
     assert dataset.poses is not None

@@ -168,7 +168,7 @@ def check_key_frames(kind: str, spacing: float, radius: float) -> None:
 
 def _sentence(problem: ErrorDetails, stages: Mapping[str, type[BaseModel]]) -> str:
     place = [str(part) for part in problem["loc"]]
-    name, value = ".".join(place[:2]), _shown(problem["input"])
+    name, value = ".".join(place[:2]), shown(problem["input"])
     own = problem.get("ctx", {}).get("error") if problem["type"] == "value_error" else None
     stage = stages.get(place[0]) if place else None
     field = stage.model_fields.get(place[1]) if stage and len(place) > 1 else None
@@ -221,6 +221,6 @@ def _words(annotation: Any) -> tuple[str, ...]:
     return next((words for inner in get_args(annotation) if (words := _words(inner))), ())
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."

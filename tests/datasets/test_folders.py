@@ -449,6 +449,7 @@ def test_where_the_lidar_looks_from(folder: Path) -> None:
 
 
 CAMERA = {"K": [9, 9, 5, 5], "size": [10, 10]}
+LOOKS_AHEAD = {"model": "fisheye", "T_camera_lidar": [0.0, -1, 0, 0, 0, 0, -1, 0, 1, 0, 0, 0]}
 
 
 @pytest.mark.parametrize(
@@ -456,6 +457,10 @@ CAMERA = {"K": [9, 9, 5, 5], "size": [10, 10]}
     [
         ({"motion_compansated": True}, "motion_compansated is unknown; there are ego_boxes"),
         ({"cameras": {"a": {"k": [1]}}}, "cameras.a.k is unknown"),
+        (
+            {"cameras": {"a": CAMERA | {**LOOKS_AHEAD, "distortion": [0.1] * 5}}},
+            "docdepth.yaml, a: the distortion of a fisheye is",
+        ),
         ({"scene": "city", "seed": 3}, "scene, seed are unknown"),
         ({"motion_compensated": "maybe"}, "_compensated is 'maybe': it must be true or false$"),
         ({"stamp": "begin"}, "stamp is 'begin': it must be 'start', 'middle' or 'end'"),

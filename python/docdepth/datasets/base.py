@@ -19,7 +19,7 @@ from docdepth.datasets.files import ImageSource, read_image_of
 from docdepth.errors import CalibrationError, DatasetError, InputError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.lidar_frame import SensorRig
-from docdepth.geometry.points import ShortRepr, check_points, float_array, nanoseconds
+from docdepth.geometry.points import ShortRepr, as_integer, check_points, float_array, nanoseconds
 from docdepth.geometry.se3 import check_rigid, if_mirrored
 
 LensModel = Literal["pinhole", "fisheye"]
@@ -73,6 +73,8 @@ class Sweep(ShortRepr):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", check_points(self.points))
+        time = as_integer(self.time, "the time of a sweep is an integer, nanoseconds")
+        object.__setattr__(self, "time", time)
         rig = self.sensor_rig
         if rig is not None and not isinstance(rig, SensorRig):
             raise InputError(f"sensor_rig must be a SensorRig, not {type(rig).__name__}")
@@ -149,7 +151,7 @@ def check_name(name: str) -> None:
 def check_distortion(name: str, d: NDArray[np.float64] | None, model: LensModel) -> None:
     """Refuse the distortion of a camera ``name`` that no lens has."""
     if model == "fisheye" and (d is None or d.shape != (4,)):
-        raise CalibrationError(f"{name}: the distortion of a fisheye is k1 k2 k3 k4")
+        raise CalibrationError(f"{name}: the distortion of a fisheye is k1 k2 k3 k4, four numbers")
     if d is not None and (
         d.shape not in [(n,) for n in (4, 5, 8, 12, 14)] or not np.isfinite(d).all()
     ):

@@ -25,7 +25,7 @@ from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.se3 import are_rotations, if_mirrored, nearest_rotation, poses_from, rigid
 
 _ROWS = packed(x="f4", y="f4", z="f4", reflectance="f4")
-_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm")
+IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm")
 ASKED = "the image size asked for"
 _NUMBER = re.compile(r"([0-9]+(?:\.[0-9]+)?)")
 _LEVER_ARM = 10.0  # metres between LiDAR and camera; on a lorry it is five
@@ -224,7 +224,7 @@ def camera_offset(P: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def image_files(folder: Path) -> list[Path]:
     """Images of a folder in the order of :func:`in_order`; none if there is no such folder."""
-    return in_order(files_of(folder, *_IMAGES))
+    return in_order(files_of(folder, *IMAGES))
 
 
 def image_size(files: Sequence[Path]) -> tuple[int, int] | None:

@@ -23,6 +23,7 @@ from pydantic import (
     field_validator,
 )
 
+from docdepth.datasets.base import check_distortion
 from docdepth.datasets.files import FILE, is_there, read_image, read_lines, settings_file
 from docdepth.datasets.point_times import Instant, Unit
 from docdepth.datasets.pose_tables import read_poses_at
@@ -91,10 +92,12 @@ class CameraSettings(Strict):
             return camera_of(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), size, where)
         return camera_of(np.reshape(self.K, (3, 3)), size, where)
 
-    def lens(self) -> NDArray[np.float64] | None:
+    def lens(self, where: str) -> NDArray[np.float64] | None:
         """The distortion; None without one. Zeros are none for a pinhole, not for a fisheye."""
         numbers = self.distortion or ()
-        return np.array(numbers) if self.model == "fisheye" or any(numbers) else None
+        lens = np.array(numbers) if self.model == "fisheye" or any(numbers) else None
+        check_distortion(where, lens, self.model)
+        return lens
 
 
 class RecordingSettings(Strict):

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from docdepth.datasets.base import CameraStream, ImageStream, LidarStream
 from docdepth.datasets.cloud import LidarReader
-from docdepth.datasets.kitti_files import agreed_size, image_files
+from docdepth.datasets.kitti_files import IMAGES, agreed_size, image_files
 from docdepth.datasets.recording import Poses, Recording
 from docdepth.datasets.settings import CameraSettings, RecordingSettings, transform
 from docdepth.datasets.times import read_times, times_of_files
@@ -88,7 +88,9 @@ def _camera(
 ) -> CameraStream | ImageStream:
     images = image_files(folder / settings.images) if settings.images else []
     if settings.images and not images:
-        raise DatasetError(f"{where}: {folder / settings.images} holds no images (png, jpg)")
+        raise DatasetError(
+            f"{where}: {folder / settings.images} holds no images ({', '.join(IMAGES)})"
+        )
     size = agreed_size(where, images, {"size": settings.size}) or asked
     times, names = _image_times(folder, settings, images, lidar, where)
     if images and (settings.K is None or settings.T_camera_lidar is None):
@@ -96,7 +98,7 @@ def _camera(
         log.warning("%s has no %s, so it gets no depth maps; docdepth calibrate finds it",
                     where, lacks)  # fmt: skip
         camera = None if settings.K is None else settings.camera(size, where)
-        return ImageStream(name, times, names, images, camera, settings.lens(), settings.model)
+        return ImageStream(name, times, names, images, camera, settings.lens(where), settings.model)
     return CameraStream(
         name,
         settings.camera(size, where),
@@ -104,7 +106,7 @@ def _camera(
         times,
         names,
         images,
-        settings.lens(),
+        settings.lens(where),
         settings.model,
     )
 

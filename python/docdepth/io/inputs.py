@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
 
+from docdepth._text import shown
 from docdepth.errors import ConfigError
 from docdepth.geometry.turn import Turn
 
@@ -45,19 +46,21 @@ def explain(error: ValidationError) -> str:
             text = f"unknown option {name!r}"
         elif problem["type"] == "literal_error":
             expected = problem["ctx"]["expected"].replace("'", "")
-            text = f"{name} is {value!r}; it must be {expected}"
+            text = f"{name} is {shown(value)}; it must be {expected}"
         elif problem["type"] != "value_error":
-            text = f"{name} is {value!r}: {text}"
+            text = f"{name} is {shown(value)}: {text}"
         sentences[name] = text
     return "; ".join(sentences.values())
 
 
 def _absolute(path: Any) -> Any:
-    if path is None:
-        return None
+    return None if path is None else Path(_as_path(path)).resolve()
+
+
+def _as_path(path: Any) -> str:
     if not isinstance(path, str | os.PathLike):
         raise ValueError(f"a {type(path).__name__} is not a path; give that of its folder or file")
-    return Path(path).resolve()
+    return os.fspath(path)
 
 
 _Path = Annotated[Path, BeforeValidator(_absolute)]
@@ -155,7 +158,7 @@ class RunInputs(Checked):
         for text in [masks] if isinstance(masks, str) else masks:
             camera, colon, file = str(text).partition(":")
             if not camera or not colon or not file:
-                raise ValueError(f"`mask` is {text!r}; write CAMERA:FILE")
+                raise ValueError(f"`mask` is {shown(text)}; write CAMERA:FILE")
             named.append(f"{camera}:{_absolute(file)}")
         return tuple(named) or None
 
@@ -163,9 +166,9 @@ class RunInputs(Checked):
     @classmethod
     def _poses(cls, poses: Any) -> Any:
         """``CAMERA:FILE``, where no file has this name, means poses of that camera."""
-        if poses is None or poses == OWN_POSES or not isinstance(poses, str | os.PathLike):
+        if poses is None or _as_path(poses) == OWN_POSES:
             return poses
-        camera, file = camera_and_file(os.fspath(poses))
+        camera, file = camera_and_file(_as_path(poses))
         return f"{camera}:{_absolute(file)}" if camera else str(_absolute(file))
 
     def but(self, **changes: Any) -> RunInputs:

@@ -91,7 +91,7 @@ def open_camera(
         if given.K is not None:
             height, width = decode_image(first, where).shape[:2]
             camera = given.camera((width, height), f"{file}, {topic}")
-            distortion, model = given.lens(), given.model
+            distortion, model = given.lens(f"{file}, {topic}"), given.model
         elif info is not None:
             size = size_of(first, where)
             camera, distortion, model = camera_of(info, rectified, size, where)
