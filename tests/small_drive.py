@@ -46,5 +46,6 @@ def results(folder: Path) -> dict[str, bytes]:
     return {
         name: path.read_bytes()
         for name, path in found.items()
-        if not name.startswith((".docdepth", "run.yaml", "report/index.html"))
+        if not name.startswith(".docdepth/")
+        and name not in ("run.yaml", "run.yaml.old", "report/index.html")
     }

@@ -48,6 +48,7 @@ class World:
     root: Path
     own: dict[Path, bytes] = field(default_factory=dict)
     notes_lost: bool = False
+    damaged: set[str] = field(default_factory=set)
     version: int = 0
     redrawn: set[str] = field(default_factory=set)  # images that have changed
 
@@ -82,10 +83,15 @@ class World:
         return made
 
     def results(self) -> dict[str, bytes]:
-        """The results of the run, without files of the user and those kept beside new ones."""
+        """The results of the run, without files of the user and copies that have to be kept."""
         own = {path.relative_to(self.run).as_posix() for path in self.own}
-        found = results(self.run).items()
-        return {name: content for name, content in found if name not in own and ".old" not in name}
+        found = {name: what for name, what in results(self.run).items() if name not in own}
+        return {name: what for name, what in found.items() if not self._has_to_be_kept(name)}
+
+    def _has_to_be_kept(self, name: str) -> bool:
+        """Where a file was damaged, or nothing tells whose it is, it lies beside the new one."""
+        original, old, _ = name.partition(".old")
+        return bool(old) and (self.notes_lost or original in self.damaged)
 
     def products(self) -> list[Path]:
         """Every file in the run folder that docdepth wrote, notes included."""
@@ -156,6 +162,7 @@ def damage(world: World, number: int) -> None:
     else:
         content = bytearray(len(content))
     path.write_bytes(content)
+    world.damaged.add(path.relative_to(world.run).as_posix())
     world.notes_lost |= ".docdepth" in path.parts or path.name == "run.yaml"
 
 
