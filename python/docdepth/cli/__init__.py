@@ -110,7 +110,7 @@ _SET_BLAS_THREADS = (
 def _from_home(word: str) -> str:
     """A word with its ``~/`` written out, which shells leave in quotes and behind ``--output=``.
 
-    A folder named ~ would be made, and who removes it by its name removes all that is theirs.
+    Else a folder named ~ would be made, and ``rm -r ~`` removes the home instead of it.
     """
     option, mark, value = word.rpartition("=") if word.startswith("--") else ("", "", word)
     return option + mark + (os.path.expanduser(value) if value.startswith("~/") else value)

@@ -134,7 +134,7 @@ _TURN, _TURN_AND_TIME = np.arange(7) < 3, np.array([True] * 3 + [False] * 3 + [T
 _PAN = np.arange(7) == 1
 _LEAST_PAN_DEG = 0.1  # along a short path; right cameras have seemed to be off by 0.07
 _LEAST_SCORE = 1.2  # right ones reach 1.4 to 2.2, another drive's images 1.0 to 1.1
-_ERRORS = 2.0  # standard errors by which displacement exceeds zero; of seven parts, few by chance
+_ERRORS = 2.0  # standard errors by which the displacement exceeds zero
 _LEAST_GAIN = 3.0  # standard errors by which the gain does
 _MOST_ERROR_DEG = 0.1  # right ones reach 0.02 to 0.08; 0.3 and more where two changes fit alike
 
