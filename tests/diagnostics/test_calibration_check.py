@@ -22,7 +22,7 @@ from docdepth.diagnostics.calibration import (
 )
 from docdepth.diagnostics.depth_edges import edges_of_map, pixels_of_tracks
 from docdepth.errors import CalibrationError
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import Camera, View
 from docdepth.geometry.se3 import rotation_exp
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
@@ -204,13 +204,13 @@ def test_boxes_of_moving_objects_are_left_out() -> None:
         1, "vehicle", times, np.stack([T, T]), np.zeros((2, 3)), np.array([4.0, 2, 1.5]),
         np.array([9, 9]), np.full(2, 0.1), np.full(2, 0.1),
     )  # fmt: skip
-    mask = pixels_of_tracks(Tracks([track]), 5, np.eye(4), CAMERA)
+    mask = pixels_of_tracks(Tracks([track]), View(CAMERA, np.eye(4), 5))
     v, u = np.nonzero(mask)
     # Its near side is 8 m ahead, 2 m wide about x = 1, its top 1.5 m above y = 1.
     assert abs(u.min() - (310 - 5)) <= 1
     assert abs(u.max() - (310 + 400 * 2 / 8 + 5)) <= 1
     assert abs(v.min() - (120 - 400 * 0.5 / 8 - 5)) <= 1
-    assert not pixels_of_tracks(Tracks([track]), 11, np.eye(4), CAMERA).any()
+    assert not pixels_of_tracks(Tracks([track]), View(CAMERA, np.eye(4), 11)).any()
 
 
 def test_the_verb(finished, tmp_path, monkeypatch) -> None:

@@ -6,10 +6,11 @@ Sweeps are read one at a time and not kept. They hold all rows of the file, unus
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, TypeVar, overload, runtime_checkable
 
 import cv2
 import numpy as np
@@ -23,6 +24,8 @@ from docdepth.geometry.points import ShortRepr, as_integer, check_points, float_
 from docdepth.geometry.se3 import check_rigid, if_mirrored
 
 LensModel = Literal["pinhole", "fisheye"]
+
+_Item = TypeVar("_Item")
 
 _LONGEST_NAME = 100  # characters of a camera's name; file systems allow 255 bytes
 
@@ -283,6 +286,33 @@ class ImageStream:
         check_name(self.name)
         if self.camera is not None:
             check_distortion(self.name, self.distortion, self.model)
+
+
+class ReadSequence(Sequence[_Item]):
+    """A sequence whose items are read when they are asked for and not kept; a slice is a list."""
+
+    what = "sweeps"  # what its items are, for errors
+
+    @abstractmethod
+    def read(self, index: int) -> _Item:
+        """Read one item; the index is not negative."""
+
+    @overload
+    def __getitem__(self, index: int) -> _Item: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[_Item]: ...
+    def __getitem__(self, index: int | slice) -> _Item | list[_Item]:
+        if isinstance(index, slice):
+            return [self.read(k) for k in range(len(self))[index]]
+        return self.read(checked_place(index, len(self), self.what))
+
+
+def checked_place(index: int, count: int, what: str) -> int:
+    """Number from 0 of one of ``count`` things; negative ones count from the end."""
+    index = as_integer(index, f"{what} are numbered by integers")
+    if not -count <= index < count:
+        raise IndexError(f"there are {count} {what}, and none has the number {index}")
+    return index % count
 
 
 class DatasetRepr:

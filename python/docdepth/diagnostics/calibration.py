@@ -18,6 +18,7 @@ from docdepth.diagnostics.depth_edges import Edges, edges_of_map, pixels_of_trac
 from docdepth.diagnostics.edge_fit import EdgeFit, ImageEdges, displaced, fit_edges
 from docdepth.diagnostics.sweeps import spread
 from docdepth.errors import CalibrationError, Finding
+from docdepth.geometry.camera import View
 from docdepth.geometry.se3 import inverse, rotation_log
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
@@ -226,8 +227,8 @@ def edges_of_images(
     for done, k in enumerate(chosen, 1):
         image = stream.rectified_image(indices[k])
         assert image is not None
-        T_camera_world = stream.T_camera_lidar @ inverse(poses[k])
-        moving = pixels_of_tracks(tracks, int(times[k]), T_camera_world, stream.camera)
+        view = View(stream.camera, stream.T_camera_lidar @ inverse(poses[k]), int(times[k]))
+        moving = pixels_of_tracks(tracks, view)
         images.append(image)
         edges.append(edges_of_map(depth(indices[k]), moving, float(stream.camera.K[1, 1])))
         motions.append(_motion(trajectory, int(times[k]), stream))

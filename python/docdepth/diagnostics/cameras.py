@@ -6,7 +6,6 @@ import struct
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from docdepth.datasets import CameraStream, Dataset, Sweep, usable_points
 from docdepth.datasets.files import (
@@ -20,6 +19,7 @@ from docdepth.datasets.files import (
 from docdepth.diagnostics.alignment import find_misalignment
 from docdepth.diagnostics.sweeps import broken_frames_found, sample
 from docdepth.errors import DatasetError, DocDepthError, Finding, collect_errors, collect_findings
+from docdepth.geometry.camera import pixels_in_image
 from docdepth.geometry.se3 import transform_points
 from docdepth.io.untrusted import open_file, read_text
 
@@ -100,12 +100,12 @@ def _is_odd(image: ImageSource, size: tuple[int, int]) -> bool:
 def _check_times(recording: Dataset, stream: CameraStream) -> list[Finding]:
     times = recording.times
     inside = (stream.times >= times[0]) & (stream.times <= times[-1])
-    spans = (
-        f"images are from {_seconds(stream.times[0])} to {_seconds(stream.times[-1])} s, sweeps "
-        f"from {_seconds(times[0])} to {_seconds(times[-1])} s"
-        if len(stream.times)
-        else "there is no image"
-    )
+    spans = "there is no image"
+    if len(stream.times):
+        ends = (*stream.times[[0, -1]], *times[[0, -1]])
+        spans = "images are from {:.3f} to {:.3f} s, sweeps from {:.3f} to {:.3f} s".format(
+            *(int(time) / 1e9 for time in ends)
+        )
     if not inside.any():
         raise DatasetError(
             f"none of the {len(stream.names)} images of {stream.name} lies between the first and "
@@ -121,10 +121,6 @@ def _check_times(recording: Dataset, stream: CameraStream) -> list[Finding]:
     )
     remedy = "if the clocks differ, give other times by `camera_times`"
     return [Finding("images-outside", stream.name, text, remedy)]
-
-
-def _seconds(time: np.int64) -> str:
-    return f"{int(time) / 1e9:.3f}"
 
 
 def _check_intrinsics(stream: CameraStream) -> list[Finding]:
@@ -187,17 +183,13 @@ def _check_extrinsics(stream: CameraStream, sweeps: dict[int, Sweep], where: str
 
 def _seen(stream: CameraStream, sweeps: dict[int, Sweep]) -> tuple[float, float]:
     """Share of the points that fall into the image, and of its columns that they reach."""
-    camera, shares = stream.camera, []
-    reached: NDArray[np.bool_] = np.zeros(_COLUMNS, np.bool_)
+    shares, reached = [], np.zeros(_COLUMNS, np.bool_)
     for sweep in sweeps.values():
         points = sweep.points[usable_points(sweep.points)]
-        x, y, z = transform_points(stream.T_camera_lidar, points).T
-        x, y, z = x[z > 0.1], y[z > 0.1], z[z > 0.1]
-        u = camera.K[0, 0] * x / z + camera.K[0, 2]
-        v = camera.K[1, 1] * y / z + camera.K[1, 2]
-        inside = (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
-        reached[(u[inside] * _COLUMNS / camera.width).astype(int)] = True
-        shares.append(inside.sum() / max(len(points), 1))
+        places = transform_points(stream.T_camera_lidar, points)
+        rows, u, _ = pixels_in_image(places, stream.camera)
+        reached[u * _COLUMNS // stream.camera.width] = True
+        shares.append(len(rows) / max(len(points), 1))
     return float(np.mean(shares)) if shares else 0.0, float(reached.mean())
 
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import Camera, View
 from docdepth.geometry.track import Tracks
 from docdepth.io.tracks import box_in_image
 
@@ -124,13 +124,12 @@ def _first_of_pairs(
     return v, u + 1
 
 
-def pixels_of_tracks(
-    tracks: Tracks, time: int, T_camera_world: NDArray[np.float64], camera: Camera
-) -> NDArray[np.bool_]:
+def pixels_of_tracks(tracks: Tracks, view: View) -> NDArray[np.bool_]:
     """Pixels in or beside the boxes of moving objects, (h, w)."""
+    camera, T_camera_world, time = view
     mask = np.zeros((camera.height, camera.width), np.bool_)
     for track in tracks.between(time, time):
-        box = box_in_image(track.size, T_camera_world @ track.pose_at(time), camera)
+        box = box_in_image(track, T_camera_world @ track.pose_at(time), camera)
         if box is not None:
             (left, top), (right, bottom) = np.floor(box).astype(int) + [[-_BESIDE], [1 + _BESIDE]]
             mask[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = True

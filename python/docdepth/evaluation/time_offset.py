@@ -22,6 +22,7 @@ from docdepth.diagnostics.sweeps import spread
 from docdepth.errors import CalibrationError
 from docdepth.evaluation.camera_error import images_and_maps
 from docdepth.evaluation.followed_points import Window, follow, predicted, smooth_pose
+from docdepth.geometry.camera import View
 from docdepth.geometry.se3 import inverse, rigid, rotation_exp, rotation_log
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import read_depth
@@ -160,8 +161,8 @@ def _windows(
     windows = []
     for done, (first, last) in enumerate(chosen, 1):
         time = int(times[first])
-        T_camera_world = stream.T_camera_lidar @ inverse(trajectory.interpolate(time)[0])
-        moving = pixels_of_tracks(tracks, time, T_camera_world, stream.camera)
+        view = View.at(stream.camera, stream.T_camera_lidar, trajectory, time)
+        moving = pixels_of_tracks(tracks, view)
         images = []
         for index in range(first, last + 1):
             image = stream.rectified_image(index)

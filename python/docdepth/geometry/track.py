@@ -22,6 +22,11 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 # together: small things that stay lie between large ones, and the heap of a long drive would grow.
 _KEPT = 1024
 
+BOX_EDGES = tuple(
+    pair for k in range(4) for pair in ((k, (k + 1) % 4), (k + 4, (k + 1) % 4 + 4), (k, k + 4))
+)
+"""Pairs of :attr:`Track.corners`; 0, 1, 4 and 5 are the front."""
+
 MAX_TRACKS = 0xFFFF
 """Largest id: an instance is the upper half of a SemanticKITTI label."""
 
@@ -101,6 +106,12 @@ class Track:
     def _path(self) -> Trajectory:
         return Trajectory(self.times, self.poses)
 
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """Corners of the box (8, 3) in the object's frame [m]; :data:`BOX_EDGES` joins them."""
+        around = ((0.5, 0.5), (0.5, -0.5), (-0.5, -0.5), (-0.5, 0.5))
+        return np.array([(x, y, z) for z in (0, 1) for x, y in around]) * self.size
+
     def covers(self, time: int) -> bool:
         """Whether ``time`` [ns] lies between the first and the last stamp."""
         return bool(self.times[0] <= time <= self.times[-1])
@@ -112,14 +123,6 @@ class Track:
         there. Read-only.
         """
         return _pose_of(self, int(time))
-
-    def _beyond(self, time: int) -> NDArray[np.float64]:
-        end = 0 if time < self.times[0] else -1
-        seconds = (int(time) - int(self.times[end])) * 1e-9
-        pose = self.poses[end].copy()
-        pose[:3, 3] += seconds * self.velocities[end]
-        pose[:3, :3] = rotation_exp(seconds * self.turn_rate_at(time)) @ pose[:3, :3]
-        return pose
 
     def velocity_at(self, time: int) -> NDArray[np.float64]:
         """Velocity (3,) at ``time`` [ns] in the world frame [m/s], linear between stamps."""
@@ -185,6 +188,13 @@ class Tracks(Mapping[int, Track]):
 
 @lru_cache(maxsize=_KEPT)
 def _pose_of(track: Track, time: int) -> NDArray[np.float64]:
-    pose = track._path.interpolate(time)[0] if track.covers(time) else track._beyond(time)
+    if track.covers(time):
+        pose = track._path.interpolate(time)[0]
+    else:
+        end = 0 if time < track.times[0] else -1
+        seconds = (time - int(track.times[end])) * 1e-9
+        pose = track.poses[end].copy()
+        pose[:3, 3] += seconds * track.velocities[end]
+        pose[:3, :3] = rotation_exp(seconds * track.turn_rate_at(time)) @ pose[:3, :3]
     pose.setflags(write=False)
     return pose

@@ -161,7 +161,13 @@ def read_depth(path: Path | str, scale: float | None = None) -> NDArray[np.float
         _check_scale(scale)
     suffix = path.suffix.lower()
     if suffix == ".png":
-        return _read_png(path, scale or _scale_beside(path))
+        pixels = _decoded(path)
+        if pixels.dtype != np.uint16 or pixels.ndim != 2:
+            raise DatasetError(
+                f"{path} holds {pixels.dtype} {pixels.shape}; depth is one channel of uint16, "
+                "metres times a scale"
+            )
+        return _metres(pixels, scale or _scale_beside(path))
     if suffix not in _READ:
         raise DatasetError(f"{path}: depth is read from {', '.join(_READ)}, not {suffix!r}")
     if suffix == ".exr":
@@ -244,16 +250,6 @@ def _decoded(path: Path) -> NDArray[Any]:
     if pixels is None:
         raise DatasetError(f"{path} is not a readable image; delete it and render again")
     return pixels
-
-
-def _read_png(path: Path, scale: float) -> NDArray[np.float32]:
-    pixels = _decoded(path)
-    if pixels.dtype != np.uint16 or pixels.ndim != 2:
-        raise DatasetError(
-            f"{path} holds {pixels.dtype} {pixels.shape}; depth is one channel of uint16, "
-            "metres times a scale"
-        )
-    return _metres(pixels, scale)
 
 
 def _metres(steps: NDArray[Any], scale: float) -> NDArray[np.float32]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError, InputError
 from docdepth.geometry.camera import NEAREST, Camera
-from docdepth.geometry.se3 import inverse, rotation_exp
+from docdepth.geometry.se3 import inverse, rotation_exp, transform_points
 from docdepth.geometry.track import KINDS, Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import WriteFile, write_atomically
@@ -198,39 +198,27 @@ def write_kitti_tracking(
 
 
 def box_in_image(
-    size: NDArray[np.float64], T_camera_object: NDArray[np.float64], camera: Camera
+    track: Track, T_camera_object: NDArray[np.float64], camera: Camera
 ) -> NDArray[np.float64] | None:
     """Least and greatest u and v of the box of an object, (2, 2); None where no image shows it."""
-    corners = _corners(size, T_camera_object)
+    corners = transform_points(T_camera_object, track.corners)
     in_front = corners[corners[:, 2] > NEAREST]
     if not len(in_front):
         return None
     pixels = (in_front / in_front[:, 2:]) @ camera.K[:2].T
     box = np.stack([pixels.min(0), pixels.max(0)])
-    outside = (box[1] < 0).any() or (box[0] > _last(camera)).any()
+    outside = (box[1] < 0).any() or (box[0] > (camera.width - 1, camera.height - 1)).any()
     return None if outside else box
-
-
-def _corners(
-    size: NDArray[np.float64], T_camera_object: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0, 1)])
-    result: NDArray[np.float64] = corners * size @ T_camera_object[:3, :3].T
-    return result + T_camera_object[:3, 3]
-
-
-def _last(camera: Camera) -> NDArray[np.int64]:
-    return np.array([camera.width, camera.height]) - 1
 
 
 def _kitti_label(track: Track, T_camera_object: NDArray[np.float64], camera: Camera) -> str:
     """A label without image and id; empty if the image does not show the box."""
-    box = box_in_image(track.size, T_camera_object, camera)
+    box = box_in_image(track, T_camera_object, camera)
     if box is None:
         return ""
     length, width, height = track.size
-    (low, high), last = box, _last(camera)
-    behind = (_corners(track.size, T_camera_object)[:, 2] <= NEAREST).any()
+    (low, high), last = box, np.array([camera.width, camera.height]) - 1
+    behind = (transform_points(T_camera_object, track.corners)[:, 2] <= NEAREST).any()
     truncated = int(behind or (low < 0).any() or (high > last).any())
     x, y, z = T_camera_object[:3, 3]
     forward = T_camera_object[:3, 0]

@@ -160,7 +160,12 @@ def register(
             guesses, if_unfit = [last @ inverse(poses[k - 1]) @ poses[k] if k else last], []
         deskewed = partial(_deskewed, sweeps, k, motion)
         found = registration.align(k, deskewed, guesses, if_unfit)
-        _check_finite(found, sweeps.first + k)
+        if not np.isfinite(found.pose).all():
+            raise OdometryError(
+                f"frame {sweeps.first + k} could not be registered",
+                "bring poses (`poses`) or try another odometry.voxel_size",
+                code="not-registered",
+            )
         if state is None:
             state = first_state(found.pose, velocity)
         else:
@@ -184,15 +189,6 @@ def register(
         findings.append(_predicted_poses(predicted, count, parameters))
     if known is not None and disagreeing > _MAX_DISAGREEING * count:
         findings.append(_disagreement(disagreeing, count))
-
-
-def _check_finite(found: Found, frame: int) -> None:
-    if not np.isfinite(found.pose).all():
-        raise OdometryError(
-            f"frame {frame} could not be registered",
-            "bring poses (`poses`) or try another odometry.voxel_size",
-            code="not-registered",
-        )
 
 
 def _deskewed(sweeps: SweepPart, index: int, motion: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias, overload
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 import docdepth._core as _core
 from docdepth.config import OdometryParameters
-from docdepth.datasets.base import Dataset, Sweep
+from docdepth.datasets.base import Dataset, ReadSequence, Sweep
 from docdepth.datasets.files import suggest_skipping
 from docdepth.datasets.point_times import sweep_seconds
 from docdepth.errors import InputError, OdometryError
@@ -61,7 +61,7 @@ def lidar_frame(sweep: AnySweep, period: np.float32) -> LidarFrame:
 
 
 @dataclass(frozen=True, repr=False)
-class DeskewedSweeps(Sequence[LidarFrame]):
+class DeskewedSweeps(ReadSequence[LidarFrame]):
     """Sweeps of a dataset; item ``i`` reads sweep ``i`` once and deskews it to its stamp.
 
     A frame has a row for each row of its sweep. Nothing is kept: asking twice reads twice. A slice
@@ -79,15 +79,9 @@ class DeskewedSweeps(Sequence[LidarFrame]):
     def __repr__(self) -> str:
         return f"<{len(self)} sweeps of {self.dataset!r}, deskewed when read>"
 
-    @overload
-    def __getitem__(self, index: int) -> LidarFrame: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[LidarFrame]: ...
-    def __getitem__(self, index: int | slice) -> LidarFrame | list[LidarFrame]:
-        frames = range(len(self))[index]
-        if isinstance(frames, range):
-            return [self[frame] for frame in frames]
-        return self.deskewed(frames, self.dataset.sweep(frames))
+    def read(self, index: int) -> LidarFrame:
+        """Read sweep ``index`` and deskew it."""
+        return self.deskewed(index, self.dataset.sweep(index))
 
     @cached_property
     def _period(self) -> np.float32:

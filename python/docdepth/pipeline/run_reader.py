@@ -5,21 +5,21 @@ Arrays are read when they are asked for and are not kept. Nothing is written.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.config import Parameters
-from docdepth.datasets.base import CameraStream
+from docdepth.datasets.base import CameraStream, ReadSequence, checked_place
 from docdepth.errors import DamagedFileError, RunError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.lidar_frame import LidarFrame
-from docdepth.geometry.points import DYNAMIC, as_integer
+from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
@@ -151,7 +151,7 @@ class Run:
         InputError
             No ground is found below the vehicle.
         """
-        return self._occupancy.at(_place(index, len(self.sweeps), "sweeps"))
+        return self._occupancy.at(checked_place(index, len(self.sweeps), "sweeps"))
 
     @cached_property
     def _occupancy(self) -> OccupancyGrids:
@@ -160,7 +160,7 @@ class Run:
         return OccupancyGrids(self.sweeps, self.trajectory, self.tracks, cameras)
 
 
-class RunSweeps(Sequence[LidarFrame]):
+class RunSweeps(ReadSequence[LidarFrame]):
     """The sweeps of a run: ``points``, ``classid``, ``instance`` of each.
 
     Points are those of usable returns, in the LiDAR frame at the sweep's stamp [m].
@@ -175,24 +175,12 @@ class RunSweeps(Sequence[LidarFrame]):
     def __repr__(self) -> str:
         return f"<{len(self)} sweeps of {self.run.path}>"
 
-    @overload
-    def __getitem__(self, index: int) -> LidarFrame: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[LidarFrame]: ...
-    def __getitem__(self, index: int | slice) -> LidarFrame | list[LidarFrame]:
-        if isinstance(index, slice):
-            return [self[k] for k in range(len(self))[index]]
-        return self.run.folder.classified_frame(_place(index, len(self), "sweeps"))[0]
+    def read(self, index: int) -> LidarFrame:
+        """Read sweep ``index``."""
+        return self.run.folder.classified_frame(index)[0]
 
 
-def _place(index: int, count: int, what: str) -> int:
-    index = as_integer(index, f"{what} are numbered by integers")
-    if not -count <= index < count:
-        raise IndexError(f"there are {count} {what}, and none has the number {index}")
-    return index % count
-
-
-class RunImages(Sequence["RunImage"]):
+class RunImages(ReadSequence["RunImage"]):
     """The images of one camera of a run that have a depth map, in order of time.
 
     Attributes
@@ -210,7 +198,7 @@ class RunImages(Sequence["RunImage"]):
 
     def __init__(self, run: Run, name: str) -> None:
         folder = run.folder
-        self.run, self.name = run, name
+        self.run, self.name, self.what = run, name, f"images of {name}"
         self.subfolder = folder.cameras[name].folder
         self.camera, self.T_camera_lidar, _ = folder.calibration(self.subfolder)
         maps = described_maps(run.path / "depth" / self.subfolder)
@@ -231,14 +219,9 @@ class RunImages(Sequence["RunImage"]):
         size = f"{self.camera.width} x {self.camera.height}"
         return f"<{len(self)} images of {self.name}, {size}, in {self.run.path}>"
 
-    @overload
-    def __getitem__(self, index: int) -> RunImage: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[RunImage]: ...
-    def __getitem__(self, index: int | slice) -> RunImage | list[RunImage]:
-        if isinstance(index, slice):
-            return [self[k] for k in range(len(self))[index]]
-        return RunImage(self, _place(index, len(self), f"images of {self.name}"))
+    def read(self, index: int) -> RunImage:
+        """Image ``index``, whose arrays are read when they are asked for."""
+        return RunImage(self, index)
 
     def __getstate__(self) -> dict[str, object]:
         return {k: v for k, v in self.__dict__.items() if k not in ("stream", "scene")}

@@ -8,12 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 
 import docdepth._core as _core
 from docdepth.concurrency import Timer
+from docdepth.datasets.base import ReadSequence
 from docdepth.dynamics.classes import Labels, count_classes
 from docdepth.dynamics.sweep_classifier import Evidence
 from docdepth.dynamics.tracking import TrackedSweep
@@ -66,7 +67,7 @@ def write_arrays(
     run.write(path, lambda stream: np.savez(stream, **arrays), key, sync=False)
 
 
-class TrackStore(Sequence[TrackedSweep]):
+class TrackStore(ReadSequence[TrackedSweep]):
     """What tracks found in each sweep, and the tracks of the drive.
 
     Each sweep has its file: a drive may be too long to hold all of it. They stay when the stage is
@@ -80,14 +81,9 @@ class TrackStore(Sequence[TrackedSweep]):
     def __len__(self) -> int:
         return self._count
 
-    @overload
-    def __getitem__(self, index: int) -> TrackedSweep: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[TrackedSweep]: ...
-    def __getitem__(self, index: int | slice) -> TrackedSweep | list[TrackedSweep]:
-        if isinstance(index, slice):
-            return [self[k] for k in range(len(self))[index]]
-        path = sweep_file(self._run, TRACKING, range(len(self))[index])
+    def read(self, index: int) -> TrackedSweep:
+        """What tracks found in sweep ``index``."""
+        path = sweep_file(self._run, TRACKING, index)
         return TrackedSweep(*read_kept_arrays(path, *TrackedSweep._fields))
 
     def is_whole(self) -> bool:

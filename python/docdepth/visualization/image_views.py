@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream
-from docdepth.geometry.camera import NEAREST, Camera, pixels_in_image
+from docdepth.geometry.camera import NEAREST, Camera, View, pixels_in_image
 from docdepth.geometry.se3 import transform_points
-from docdepth.geometry.track import Track
+from docdepth.geometry.track import BOX_EDGES, Track
 from docdepth.visualization.pictures import TRACK_COLORS, Picture, blended, colors_of_classes
 
 SEEN_COLORS = ((110, 110, 110), (178, 114, 0), (0, 120, 255))
@@ -87,21 +87,17 @@ def view_of_points(
     return picture
 
 
-def draw_tracks(
-    picture: Picture,
-    tracks: Iterable[Track],
-    time: int,
-    camera: Camera,
-    T_camera_world: NDArray[np.float64],
-) -> None:
-    """Draw the boxes of the tracks at a time into a picture, far ones first, with their ids."""
+def draw_tracks(picture: Picture, tracks: Iterable[Track], view: View) -> None:
+    """Draw the boxes of the tracks into a picture of a view, far ones first, with their ids."""
+    camera, T_camera_world, time = view
     there = [
         (track, T_camera_world @ track.pose_at(time)) for track in tracks if track.covers(time)
     ]
     for track, T_camera_object in sorted(there, key=lambda item: -item[1][2, 3]):
-        corners = transform_points(T_camera_object, box_corners(track))
+        corners = transform_points(T_camera_object, track.corners)
         color = track_color(track.id)
-        lines = [_pixels(_clipped(corners[list(edge)]), camera) for edge in BOX_EDGES]
+        lines = [_clipped(corners[list(edge)]) for edge in BOX_EDGES]
+        lines = [(line / line[:, 2:]) @ camera.K[:2].T for line in lines]
         lines = [line for line in lines if len(line) and np.abs(line).max() < 1e5]
         if not lines:
             continue
@@ -113,20 +109,6 @@ def draw_tracks(
             cv2.line(picture, start, end, color, 2, cv2.LINE_AA)
         left, top = every.min(axis=0).clip(0, (camera.width - 40, camera.height - 8))
         write_text(picture, str(track.id), (round(left) + 3, max(round(top) - 5, 14)), color)
-
-
-def box_corners(track: Track) -> NDArray[np.float64]:
-    """Corners of a track's box (8, 3) in its own frame [m]; :data:`BOX_EDGES` joins them."""
-    unit = [
-        (x, y, z) for z in (0, 1) for x, y in ((0.5, 0.5), (0.5, -0.5), (-0.5, -0.5), (-0.5, 0.5))
-    ]
-    return np.array(unit) * track.size
-
-
-BOX_EDGES = tuple(
-    pair for k in range(4) for pair in ((k, (k + 1) % 4), (k + 4, (k + 1) % 4 + 4), (k, k + 4))
-)
-"""Pairs of corners of :func:`box_corners`; 0, 1, 4 and 5 are the front."""
 
 
 def track_color(number: int) -> tuple[int, int, int]:
@@ -145,10 +127,6 @@ def write_text(
             beside = (place[0] + x, place[1] + y)
             cv2.putText(picture, text, beside, font, 0.55, black, 2, cv2.LINE_AA)
     cv2.putText(picture, text, place, font, 0.55, color, 2, cv2.LINE_AA)
-
-
-def _pixels(points: NDArray[np.floating], camera: Camera) -> NDArray[np.float64]:
-    return np.asarray((points / points[:, 2:]) @ camera.K[:2].T, np.float64)
 
 
 def _clipped(ends: NDArray[np.float64]) -> NDArray[np.float64]:

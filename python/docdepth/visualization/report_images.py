@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from docdepth.datasets.base import CameraStream
-from docdepth.geometry.camera import below_horizon
-from docdepth.geometry.se3 import inverse, transform_points
+from docdepth.geometry.camera import View, below_horizon
+from docdepth.geometry.se3 import transform_points
 from docdepth.geometry.track import Track
 from docdepth.io.depth import described_maps, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
@@ -93,16 +93,15 @@ def _pictures(
 ) -> dict[str, Picture]:
     """What is known of an image beside its depth."""
     trajectory, (camera, T_camera_lidar, _) = run.trajectory(), run.calibration(folder)
-    T_camera_world = T_camera_lidar @ inverse(trajectory.interpolate([time])[0])
+    view = View.at(camera, T_camera_lidar, trajectory, time)
     layers = read_layers(run.path / "layers" / folder / f"{name}.npz", "class", *_LAYERS)
     pictures = {layer: view_of_layer(layer, values, photo) for layer, values in layers.items()}
     if "class" not in pictures:
         k = trajectory.nearest(time)
         record, classid = run.classified_frame(k)
-        T = T_camera_world @ trajectory.poses[k]
-        points = transform_points(T, record.points)
+        points = transform_points(view.T_camera_world @ trajectory.poses[k], record.points)
         pictures["class"] = view_of_points(points, classid, camera, photo)
-    draw_tracks(pictures["class"], tracks, time, camera, T_camera_world)
+    draw_tracks(pictures["class"], tracks, view)
     return pictures if photo is None else pictures | {"image": photo}
 
 

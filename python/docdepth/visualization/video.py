@@ -21,7 +21,7 @@ from docdepth.io.depth import DESCRIPTION, described_maps, maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.io.untrusted import read_file
-from docdepth.visualization.image_views import box_corners, photo_of, track_color, write_text
+from docdepth.visualization.image_views import photo_of, track_color, write_text
 from docdepth.visualization.pictures import BACKGROUND, Picture, colorize, draw_classes
 
 _ABOVE = (1280, 960)  # width and height of the video from above [pixels]
@@ -114,7 +114,7 @@ def sweep_from_above(run: RunFolder, trajectory: Trajectory, tracks: Tracks, ind
         past = track.poses[(track.times <= time) & (track.times > time - _PAST)][:, :3, 3]
         cv2.polylines(picture, [pixels(past)], False, color, 1, cv2.LINE_AA)
         T = track.pose_at(time)
-        corners = pixels(transform_points(T, box_corners(track)[:4]))
+        corners = pixels(transform_points(T, track.corners[:4]))
         cv2.polylines(picture, [corners], True, color, 2, cv2.LINE_AA)
         left, right = corners[:2].tolist()
         cv2.line(picture, left, right, (255, 255, 255), 2, cv2.LINE_AA)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import BackendError, InputError, MissingExtraError, RunError
 from docdepth.geometry.se3 import inverse, transform_points
-from docdepth.geometry.track import Track
+from docdepth.geometry.track import BOX_EDGES, Track
 from docdepth.io.atomic import replace_output
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
@@ -29,7 +29,7 @@ from docdepth.visualization.drive_scene import (
     camera_views,
     sweep_scene,
 )
-from docdepth.visualization.image_views import BOX_EDGES, box_corners, track_color, write_text
+from docdepth.visualization.image_views import track_color, write_text
 from docdepth.visualization.pictures import colorize
 
 Scene: TypeAlias = tuple[dict[str, object], NDArray[np.float64]]
@@ -216,7 +216,7 @@ def _boxes(o3d: Any, boxes: Sequence[tuple[Track, NDArray[np.float64]]]) -> Any:
     points, edges, colors = [], [], []
     for k, (track, T_world_object) in enumerate(boxes):
         nose = np.array([(0.5, 0, 0.5), (1.0, 0, 0.5)]) * track.size
-        local = np.concatenate([box_corners(track), nose])
+        local = np.concatenate([track.corners, nose])
         points.append(transform_points(T_world_object, local))
         edges.append(np.array([*BOX_EDGES, (8, 9)]) + 10 * k)
         colors += [track_color(track.id)[::-1]] * (len(BOX_EDGES) + 1)
