@@ -64,8 +64,7 @@ void bind_mesh(py::module_& m) {
       .def_readwrite("max_gap", &MeshParameters::max_gap)
       .def_readwrite("jump_ratio", &MeshParameters::jump_ratio)
       .def_readwrite("gap_jump_ratio", &MeshParameters::gap_jump_ratio)
-      .def_readwrite("noise", &MeshParameters::noise)
-      .def_readwrite("flatness", &MeshParameters::flatness);
+      .def_readwrite("noise", &MeshParameters::noise);
   py::class_<ScanMesh>(m, "ScanMesh")
       .def(py::init(&make_mesh), "points"_a, "parameters"_a)
       .def_property_readonly("triangles", &triangles)

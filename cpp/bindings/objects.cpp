@@ -273,19 +273,9 @@ void bind_options(py::module_& m) {
   using Options = ClassificationOptions;
   py::class_<Options>(m, "ClassificationOptions")
       .def(py::init<>())
-      .def_readwrite("min_cluster_size", &Options::min_cluster_size)
-      .def_readwrite("neighbor_radius", &Options::neighbor_radius)
-      .def_readwrite("clear_votes", &Options::clear_votes)
-      .def_readwrite("min_object_points", &Options::min_object_points)
-      .def_readwrite("dynamic_share", &Options::dynamic_share)
       .def_readwrite("min_dynamic_share", &Options::min_dynamic_share)
-      .def_readwrite("min_object_width", &Options::min_object_width)
-      .def_readwrite("min_object_height", &Options::min_object_height)
       .def_readwrite("observed_free_share", &Options::observed_free_share)
-      .def_readwrite("occupied_once_share", &Options::occupied_once_share)
-      .def_readwrite("observed_free_votes", &Options::observed_free_votes)
-      .def_readwrite("max_static_ratio", &Options::max_static_ratio)
-      .def_readwrite("isolated_votes", &Options::isolated_votes);
+      .def_readwrite("max_static_ratio", &Options::max_static_ratio);
 }
 
 }  // namespace

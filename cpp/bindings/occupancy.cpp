@@ -65,8 +65,7 @@ void bind_occupancy(py::module_& m) {
           },
           [](OccupancyOptions& o, const std::array<double, 3>& c) {
             o.corner = {c[0], c[1], c[2]};
-          })
-      .def_readwrite("min_share", &OccupancyOptions::min_share);
+          });
   py::class_<GridCamera>(m, "GridCamera")
       .def(py::init([](const Array<double>& K, int width, int height, const Array<double>& pose) {
              if (K.ndim() != 2 || K.shape(0) != 3 || K.shape(1) != 3)

@@ -67,23 +67,14 @@ void bind_voting(py::module_& m) {
   py::class_<RangeImage, KeyFrame>(m, "RangeImage")
       .def(py::init(&make_range_image), "points"_a, "ground"_a, "resolution"_a, "window"_a,
            "tolerance"_a);
-  py::class_<Margins>(m, "Margins")
-      .def(py::init<float, float, float>(), "normal_tolerance"_a, "radial_tolerance"_a,
-           "radial_growth"_a)
-      .def_readwrite("normal_tolerance", &Margins::normal_tolerance)
-      .def_readwrite("radial_tolerance", &Margins::radial_tolerance)
-      .def_readwrite("radial_growth", &Margins::radial_growth);
   py::class_<MeshImageParameters>(m, "MeshImageParameters")
       .def(py::init<>())
       .def_readwrite("resolution", &MeshImageParameters::resolution)
       .def_readwrite("window", &MeshImageParameters::window)
       .def_readwrite("tolerance", &MeshImageParameters::tolerance)
-      .def_readwrite("upright", &MeshImageParameters::upright)
-      .def_readwrite("level", &MeshImageParameters::level)
       .def_readwrite("ground_tolerance", &MeshImageParameters::ground_tolerance)
       .def_readwrite("level_cosine", &MeshImageParameters::level_cosine)
-      .def_readwrite("up", &MeshImageParameters::up)
-      .def_readwrite("max_ray_distance", &MeshImageParameters::max_ray_distance);
+      .def_readwrite("up", &MeshImageParameters::up);
   py::class_<MeshImage, KeyFrame>(m, "MeshImage")
       .def(py::init(&make_mesh_image), "points"_a, "ground"_a, "mesh"_a, "parameters"_a);
   m.def("vote", &vote_on, "points"_a, "ground"_a, "T_world_lidar"_a, "key_frames"_a, "poses"_a,

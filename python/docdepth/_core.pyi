@@ -7,7 +7,7 @@ import docdepth.errors
 import numpy
 import numpy.typing
 import typing
-__all__: list[str] = ['ClassificationOptions', 'Detections', 'Frame', 'GaussianVoxelMap', 'GlError', 'GlRenderer', 'GridCamera', 'GroundMap', 'GroundParameters', 'KeyFrame', 'Margins', 'MeshFrame', 'MeshImage', 'MeshImageParameters', 'MeshParameters', 'OccupancyGrid', 'OccupancyOptions', 'OrientedPoints', 'RangeImage', 'Rays', 'ScanMesh', 'SweepRays', 'add_isolated_points', 'add_points_inside', 'classify_objects', 'cluster_objects', 'egl_devices', 'fit_normals', 'join_meshes', 'mesh_layers', 'nearest_neighbors', 'render_meshes', 'render_splats', 'splat_layers', 'thin_sweep', 'track_objects', 'vote']
+__all__: list[str] = ['ClassificationOptions', 'Detections', 'Frame', 'GaussianVoxelMap', 'GlError', 'GlRenderer', 'GridCamera', 'GroundMap', 'GroundParameters', 'KeyFrame', 'MeshFrame', 'MeshImage', 'MeshImageParameters', 'MeshParameters', 'OccupancyGrid', 'OccupancyOptions', 'OrientedPoints', 'RangeImage', 'Rays', 'ScanMesh', 'SweepRays', 'add_isolated_points', 'add_points_inside', 'classify_objects', 'cluster_objects', 'egl_devices', 'fit_normals', 'join_meshes', 'mesh_layers', 'nearest_neighbors', 'render_meshes', 'render_splats', 'splat_layers', 'thin_sweep', 'track_objects', 'vote']
 class GroundParameters:
     def __init__(self) -> None:
         ...
@@ -74,12 +74,6 @@ class MeshParameters:
     def __init__(self) -> None:
         ...
     @property
-    def flatness(self) -> float:
-        ...
-    @flatness.setter
-    def flatness(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
     def gap_jump_ratio(self) -> float:
         ...
     @gap_jump_ratio.setter
@@ -135,30 +129,7 @@ class KeyFrame:
 class RangeImage(KeyFrame):
     def __init__(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float32], ground: typing.Annotated[numpy.typing.ArrayLike, numpy.bool], resolution: typing.SupportsFloat | typing.SupportsIndex, window: typing.SupportsInt | typing.SupportsIndex, tolerance: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
-class Margins:
-    def __init__(self, normal_tolerance: typing.SupportsFloat | typing.SupportsIndex, radial_tolerance: typing.SupportsFloat | typing.SupportsIndex, radial_growth: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def normal_tolerance(self) -> float:
-        ...
-    @normal_tolerance.setter
-    def normal_tolerance(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def radial_growth(self) -> float:
-        ...
-    @radial_growth.setter
-    def radial_growth(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def radial_tolerance(self) -> float:
-        ...
-    @radial_tolerance.setter
-    def radial_tolerance(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
 class MeshImageParameters:
-    level: Margins
-    upright: Margins
     def __init__(self) -> None:
         ...
     @property
@@ -172,12 +143,6 @@ class MeshImageParameters:
         ...
     @level_cosine.setter
     def level_cosine(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def max_ray_distance(self) -> float:
-        ...
-    @max_ray_distance.setter
-    def max_ray_distance(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
     def resolution(self) -> float:
@@ -210,34 +175,10 @@ class ClassificationOptions:
     def __init__(self) -> None:
         ...
     @property
-    def clear_votes(self) -> int:
-        ...
-    @clear_votes.setter
-    def clear_votes(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def dynamic_share(self) -> float:
-        ...
-    @dynamic_share.setter
-    def dynamic_share(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def isolated_votes(self) -> int:
-        ...
-    @isolated_votes.setter
-    def isolated_votes(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
-        ...
-    @property
     def max_static_ratio(self) -> float:
         ...
     @max_static_ratio.setter
     def max_static_ratio(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def min_cluster_size(self) -> int:
-        ...
-    @min_cluster_size.setter
-    def min_cluster_size(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
         ...
     @property
     def min_dynamic_share(self) -> float:
@@ -246,46 +187,10 @@ class ClassificationOptions:
     def min_dynamic_share(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
-    def min_object_height(self) -> float:
-        ...
-    @min_object_height.setter
-    def min_object_height(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def min_object_points(self) -> int:
-        ...
-    @min_object_points.setter
-    def min_object_points(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def min_object_width(self) -> float:
-        ...
-    @min_object_width.setter
-    def min_object_width(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def neighbor_radius(self) -> float:
-        ...
-    @neighbor_radius.setter
-    def neighbor_radius(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
     def observed_free_share(self) -> float:
         ...
     @observed_free_share.setter
     def observed_free_share(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def observed_free_votes(self) -> int:
-        ...
-    @observed_free_votes.setter
-    def observed_free_votes(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None:
-        ...
-    @property
-    def occupied_once_share(self) -> float:
-        ...
-    @occupied_once_share.setter
-    def occupied_once_share(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
 class Detections:
     @staticmethod
@@ -338,12 +243,6 @@ class OccupancyOptions:
         ...
     @corner.setter
     def corner(self, arg1: typing.Annotated[collections.abc.Sequence[typing.SupportsFloat | typing.SupportsIndex], "FixedSize(3)"]) -> None:
-        ...
-    @property
-    def min_share(self) -> float:
-        ...
-    @min_share.setter
-    def min_share(self, arg0: typing.SupportsFloat | typing.SupportsIndex) -> None:
         ...
     @property
     def size(self) -> typing.Annotated[list[int], "FixedSize(3)"]:
