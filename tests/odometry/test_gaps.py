@@ -14,7 +14,7 @@ import pytest
 from docdepth import register_drive
 from docdepth.datasets import Sweep
 from docdepth.geometry.se3 import inverse, se3_exp
-from docdepth.geometry.trajectory import Trajectory, parts_of
+from docdepth.geometry.trajectory import parts_of, within_parts
 from docdepth.odometry import first_motion
 from docdepth.odometry.clock import even_stamps
 from docdepth.odometry.parts import APART
@@ -84,8 +84,8 @@ def test_a_gap_is_longer_than_a_second() -> None:
     stamps = np.cumsum([0, 1, 1, 9, 1, 11, 1]) * 10**8
     assert parts_of(stamps) == [range(5), range(5, 7)]
     assert parts_of(2 * stamps[:3] * 10) == [range(3)]  # two seconds are usual there
-    trajectory = Trajectory(stamps, np.repeat(np.eye(4)[None], 7, axis=0))
-    assert trajectory.in_gap([stamps[4], stamps[4] + 1, stamps[5]]).tolist() == [False, True, False]
+    times = np.array([-1, stamps[4], stamps[4] + 1, stamps[5], stamps[6] + 1])
+    assert within_parts(times, stamps).tolist() == [False, True, False, True, False]
 
 
 @pytest.mark.parametrize(

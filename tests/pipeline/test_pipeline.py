@@ -19,9 +19,22 @@ from docdepth.io.tracks import read_tracks, tracks_in
 from docdepth.pipeline import depth_files, sweep_store
 from docdepth.visualization import pictures as visualize
 from docdepth.visualization.video import sweep_from_above
-from small_drive import HEIGHT, WIDTH
+from small_drive import HEIGHT, WIDTH, write_small_drive
 
 FRAMES = 5
+
+
+def test_images_in_a_gap_get_no_depth(tmp_path):
+    """Nobody knows where the camera was while the LiDAR was silent."""
+    drive, run = write_small_drive(tmp_path / "drive", 6), tmp_path / "run"
+    (drive / "times.txt").write_text("0\n0.1\n0.2\n5\n5.1\n5.2\n")
+    (drive / "image_2" / "times.txt").write_text("-1\n0.1\n0.2\n2\n5\n5.1\n")
+    for _ in range(2):  # the second time all is done
+        assert cli("run", drive, "-o", run, "--camera", "image_2").exit_code == 0
+        assert sorted(p.stem for p in (run / "depth").glob("*.png")) == [
+            *("000001", "000002", "000004", "000005")
+        ]
+        assert RunFolder(run).stage("render image_2").left_out == ("000000", "000003")
 
 
 def test_outputs_of_a_run(drive, finished):

@@ -29,6 +29,15 @@ def parts_of(times: NDArray[np.int64]) -> list[range]:
     return [range(first, end) for first, end in pairwise(ends)]
 
 
+def within_parts(times: NDArray[np.int64], stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which ``times`` [ns] lie between ``stamps`` (n,) [ns], in no gap: there nobody knows where
+    the sensor was."""
+    within = np.zeros(times.shape, bool)
+    for part in parts_of(stamps):
+        within |= (times >= stamps[part.start]) & (times <= stamps[part.stop - 1])
+    return within
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory(ShortRepr):
     """Poses of a sensor, sorted by time.
@@ -163,13 +172,6 @@ class Trajectory(ShortRepr):
         times = np.asarray(times, dtype=np.int64)
         covered: NDArray[np.bool_] = (times >= self.times[0]) & (times <= self.times[-1])
         return covered
-
-    def in_gap(self, times: ArrayLike) -> NDArray[np.bool_]:
-        """Which of ``times`` [ns] lie in a gap, where nobody knows how the sensor moved."""
-        times, within = np.asarray(times, dtype=np.int64), np.zeros(np.shape(times), bool)
-        for part, later in pairwise(self.parts):
-            within |= (times > self.times[part[-1]]) & (times < self.times[later[0]])
-        return within
 
     def interpolate(self, times: ArrayLike) -> NDArray[np.float64]:
         """Poses at any time within the trajectory (paper V-A).

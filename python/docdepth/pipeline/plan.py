@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import CameraStream, Dataset, Sweep
 from docdepth.datasets.files import ImageSource, file_of
 from docdepth.errors import DatasetError, RunError
+from docdepth.geometry.trajectory import within_parts
 from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.tracks import TRACKS
 from docdepth.io.untrusted import open_file
@@ -241,9 +242,9 @@ def render_stage(
 ) -> Stage:
     """Depth maps of a camera, with layers and pictures.
 
-    ``times`` are those of the sweeps: images outside have no depth. A camera that cannot be opened,
-    since the recording is away, is given by its name and counts as unchanged. Without the stage
-    before it, classes count as up to date.
+    ``times`` are those of the sweeps: images outside, and in gaps, have no depth. A camera that
+    cannot be opened, since the recording is away, is given by its name and counts as unchanged.
+    Without the stage before it, classes count as up to date.
     """
     key = run.stage("classify").key if classify is None else classify.key
     own = {"version": _VERSIONS["render"], "classify": key}
@@ -271,7 +272,7 @@ def render_stage(
     identities = input_files.images(stream)
     inside = np.ones(len(stream.times), bool)
     if times is not None:
-        inside = (stream.times >= times[0]) & (stream.times <= times[-1])
+        inside = within_parts(stream.times, times)
     return Stage(
         run,
         f"render {stream.name}",
@@ -281,6 +282,7 @@ def render_stage(
                 [*files.files(k).values()],
                 {"image": identities[k]},
                 stream.images[k].name if stream.images else "",
+                k,
             )
             for k in np.flatnonzero(inside).tolist()
         ],

@@ -90,20 +90,19 @@ def plan_render(
     found = RenderPlan([], [], [], [], {}, run.trajectory())
     for camera in cameras:
         stream = camera.stream
-        inside = _inside(found.trajectory, stream)
         stage = (stages or {}).get(f"render {stream.name}")
         stage = stage or render_stage(run, camera, found.trajectory.times)
-        indices = np.flatnonzero(inside).tolist()
-        identities = [outputs.made_of["image"] for outputs in stage.frames]
-        files = DepthFiles(
-            run,
-            stream,
-            camera.folder,
-            camera.parameters,
-            stage.key,
-            dict(zip(indices, identities, strict=True)),
-        )
-        images = [ImageToRender(int(stream.times[k]), files, k) for k in indices]
+        identities = {outputs.index: outputs.made_of["image"] for outputs in stage.frames}
+        if not identities:
+            raise DatasetError(
+                f"none of the {len(stream.names)} images of {stream.name} lies between the first "
+                "and the last sweep; are camera and LiDAR on one clock?",
+                "give other times by `camera_times`",
+                code="image-times",
+            )
+        folder, parameters = camera.folder, camera.parameters
+        files = DepthFiles(run, stream, folder, parameters, stage.key, identities)
+        images = [ImageToRender(int(stream.times[k]), files, k) for k in identities]
         left = set(stage.left())
         found.images.extend(images)
         found.left.extend(
@@ -111,25 +110,14 @@ def plan_render(
             for n, image in enumerate(images)
             if n in left or not files.find_coverage(image.index)
         )
-        found.left_out[stream.name] = [stream.names[k] for k in np.flatnonzero(~inside)]
+        found.left_out[stream.name] = [
+            name for k, name in enumerate(stream.names) if k not in identities
+        ]
         found.files.append(files)
         found.stages.append(stage)
     for some in found.images, found.left:
         some.sort(key=lambda image: image.time)
     return found
-
-
-def _inside(trajectory: Trajectory, stream: CameraStream) -> NDArray[np.bool_]:
-    """Which images were taken between the first and the last sweep, and in no gap."""
-    inside = trajectory.covers(stream.times) & ~trajectory.in_gap(stream.times)
-    if not inside.any():
-        raise DatasetError(
-            f"none of the {len(stream.names)} images of {stream.name} lies between the first and "
-            "the last sweep; are camera and LiDAR on one clock?",
-            "give other times by `camera_times`",
-            code="image-times",
-        )
-    return inside
 
 
 def run_render(

@@ -56,6 +56,7 @@ class FrameOutputs:
     # what the records of these files name beside the key of the stage: the identity of an image
     made_of: Mapping[str, str] = field(default_factory=dict)
     source: str = ""  # file that ``made_of`` identifies, for messages
+    index: int = 0  # of the image in its camera
 
 
 @dataclass(frozen=True)
