@@ -352,7 +352,10 @@ class Recording(DatasetRepr):
         for number, reader in enumerate(self._readers[1:], start=1):
             assert rig is not None
             rig = rig.with_lidar(reader.stream.T_lidar_sensor, counts.get(number, 0))
-        width = self._beam_width_deg()
+        width = self._settings.beam_width_deg
+        if width is None:
+            own = self._is_kitti_lidar and not self._simulated
+            width = kitti_lidar.BEAM_WIDTH_DEG if own else 0.0
         if width and rig is None:
             rig = SensorRig.single((0, 0, 0), len(points))
         return rig if rig is None else replace(rig, beam_width=math.radians(width))
@@ -366,10 +369,3 @@ class Recording(DatasetRepr):
     def elevation_error(self) -> float:
         """By how much points of the first LiDAR lie higher than their files say [rad]."""
         return kitti_lidar.ELEVATION_ERROR if self._is_kitti_lidar and not self._simulated else 0.0
-
-    def _beam_width_deg(self) -> float:
-        """Full angle of a beam."""
-        said = self._settings.beam_width_deg
-        if said is not None:
-            return said
-        return kitti_lidar.BEAM_WIDTH_DEG if self._is_kitti_lidar and not self._simulated else 0.0

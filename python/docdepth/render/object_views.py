@@ -281,9 +281,19 @@ class TracksInView:
 
     def __init__(self, tracks: Tracks, trajectory: Trajectory, views: Sequence[View]) -> None:
         self._tracks = tracks
-        self._images = _images_by_camera(views)
+        by_camera: dict[int, list[View]] = {}
+        for view in views:
+            by_camera.setdefault(id(view.camera), []).append(view)
+        images = [
+            (
+                own[0].camera,
+                np.array([view.time for view in own], np.int64),
+                np.stack([view.T_camera_world for view in own]),
+            )
+            for own in by_camera.values()
+        ]
         self._times_of = cache(
-            lambda instance: _times_in_view(tracks[instance], trajectory, self._images)
+            lambda instance: _times_in_view(tracks[instance], trajectory, images)
         )
 
     def draws(self, instance: int, time: int) -> bool:
@@ -301,28 +311,15 @@ class TracksInView:
         return first < len(times) and int(times[first]) <= time + reach
 
 
-class _Images(NamedTuple):
-    """The images of a camera: times (n,) [ns], ascending, and ``T_camera_world`` (n, 4, 4)."""
-
-    camera: Camera
-    times: NDArray[np.int64]
-    T_camera_world: Floats
-
-
-def _images_by_camera(views: Sequence[View]) -> list[_Images]:
-    cameras = {id(view.camera): view.camera for view in views}
-    found = []
-    for camera in cameras.values():
-        own = [view for view in views if view.camera is camera]
-        times = np.array([view.time for view in own], np.int64)
-        found.append(_Images(camera, times, np.stack([view.T_camera_world for view in own])))
-    return found
-
-
 def _times_in_view(
-    track: Track, trajectory: Trajectory, images: Sequence[_Images]
+    track: Track,
+    trajectory: Trajectory,
+    images: Sequence[tuple[Camera, NDArray[np.int64], Floats]],
 ) -> NDArray[np.int64]:
-    """Times of the images that may show a track, ascending [ns]."""
+    """Times of the images that may show a track, ascending [ns].
+
+    ``images`` are each camera, the times of its images, ascending, and ``T_camera_world``.
+    """
     stamps, reach = trajectory.times, DYNAMIC_SWEEPS + 1
     # A track is drawn only if one of the sweeps around the image saw it.
     begin, end = np.searchsorted(stamps, track.times[[0, -1]])
