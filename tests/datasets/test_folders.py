@@ -472,7 +472,10 @@ LOOKS_AHEAD = {"model": "fisheye", "T_camera_lidar": [0.0, -1, 0, 0, 0, 0, -1, 0
         ({"cameras": {"a": {"K": [9, 9, 5, 5]}}}, "a has neither images nor size"),
         ({"cameras": {"a": CAMERA | {"K": [9, float("nan"), 5, 5]}}}, "a: K must be a 3x3"),
         ({"cameras": {"a": CAMERA}}, "T_camera_lidar must be 16 numbers"),
-        ({"cameras": {"a": CAMERA | {"T_camera_lidar": [2.0] * 16}}}, "T_camera_lidar must be a r"),
+        (
+            {"cameras": {"a": CAMERA | {"T_camera_lidar": [2.0] * 16}}},
+            "T_camera_lidar must be a 4x4 r",
+        ),
         ({"cameras": {"a": {"images": "gone"}}}, "a: .*gone holds no images"),
         (
             {"cameras": {"a": CAMERA | {"T_camera_lidar": [1.0, 0, 0, 0, 0, -1, *[0] * 4, 1, 0]}}},

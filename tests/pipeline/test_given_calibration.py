@@ -148,9 +148,9 @@ def test_the_extrinsic_may_stand_beside_k(drive, tmp_path):
         ({"camera": "front"}, "is of the camera front, .* has image_2, image_3"),
         ({"model": "omni"}, "model is 'omni', not pinhole or fisheye"),
         ({"mtx": [[1, 2], [3]]}, "calib.json is damaged"),
-        ({"T_camera_lidar": [[1, 0, 0, 0]]}, "must hold a 4x4 matrix"),
+        ({"T_camera_lidar": [[1, 0, 0, 0]]}, "must be a 4x4 matrix"),
         ({"T_camera_lidar": [[1, 0, 0, 0], [0]]}, "calib.json is damaged"),
-        ({"T_camera_lidar": (2 * np.eye(4)).tolist()}, "a rotation and a translation in metres"),
+        ({"T_camera_lidar": (2 * np.eye(4)).tolist()}, "a 4x4 rotation and translation in metres"),
     ],
 )
 def test_files_that_do_not_fit(drive, calibration, change, message):

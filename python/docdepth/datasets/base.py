@@ -18,10 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from docdepth.datasets.files import ImageSource, read_image_of
 from docdepth.errors import CalibrationError, DatasetError, InputError
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import Camera, checked_place
 from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.points import ShortRepr, as_integer, check_points, float_array, nanoseconds
-from docdepth.geometry.se3 import check_rigid, if_mirrored
 
 LensModel = Literal["pinhole", "fisheye"]
 
@@ -116,7 +115,7 @@ class LidarStream(ShortRepr):
     def __post_init__(self) -> None:
         times = _times_of(f"LiDAR {self.name}", self.times, self.names)
         object.__setattr__(self, "times", times)
-        T = _rigid(f"LiDAR {self.name}: T_lidar_sensor", self.T_lidar_sensor)
+        T = checked_place(f"LiDAR {self.name}: T_lidar_sensor", self.T_lidar_sensor)
         object.__setattr__(self, "T_lidar_sensor", T)
 
 
@@ -125,20 +124,6 @@ def _times_of(whose: str, times: ArrayLike, names: Sequence[str]) -> NDArray[np.
     if stamps.shape != (len(names),):
         raise InputError(f"{whose}: {len(names)} names need as many times, got {stamps.shape}")
     return stamps
-
-
-def _rigid(name: str, T: ArrayLike) -> NDArray[np.float64]:
-    matrix = float_array(name, T)
-    if matrix.shape != (4, 4):
-        raise CalibrationError(f"{name} must be a 4x4 matrix; its shape is {matrix.shape}")
-    try:
-        check_rigid(matrix[None])
-    except InputError:
-        raise CalibrationError(
-            f"{name} must be a 4x4 rotation and translation{if_mirrored(matrix)}; "
-            f"got {matrix.tolist()}"
-        ) from None
-    return matrix
 
 
 def check_name(name: str) -> None:
@@ -212,7 +197,7 @@ class CameraStream(ShortRepr):
                 f"{whose}: camera must be a docdepth.Camera(K, width, height), "
                 f"not {type(self.camera).__name__}"
             )
-        T = _rigid(f"{whose}: T_camera_lidar", self.T_camera_lidar)
+        T = checked_place(f"{whose}: T_camera_lidar", self.T_camera_lidar)
         object.__setattr__(self, "T_camera_lidar", T)
         object.__setattr__(self, "times", _times_of(whose, self.times, self.names))
         if len(self.images) not in (0, len(self.names)):
@@ -304,10 +289,10 @@ class ReadSequence(Sequence[_Item]):
     def __getitem__(self, index: int | slice) -> _Item | list[_Item]:
         if isinstance(index, slice):
             return [self.read(k) for k in range(len(self))[index]]
-        return self.read(checked_place(index, len(self), self.what))
+        return self.read(checked_index(index, len(self), self.what))
 
 
-def checked_place(index: int, count: int, what: str) -> int:
+def checked_index(index: int, count: int, what: str) -> int:
     """Number from 0 of one of ``count`` things; negative ones count from the end."""
     index = as_integer(index, f"{what} are numbered by integers")
     if not -count <= index < count:

@@ -27,9 +27,9 @@ from docdepth.datasets.base import check_distortion
 from docdepth.datasets.files import FILE, is_there, read_image, read_lines, settings_file
 from docdepth.datasets.point_times import Instant, Unit
 from docdepth.datasets.pose_tables import read_poses_at
-from docdepth.errors import CalibrationError, DatasetError, InputError
-from docdepth.geometry.camera import Camera, camera_of
-from docdepth.geometry.se3 import check_rigid, if_mirrored, nearest_rigid
+from docdepth.errors import CalibrationError, DatasetError
+from docdepth.geometry.camera import Camera, camera_of, checked_place
+from docdepth.geometry.se3 import nearest_rigid
 from docdepth.io.inputs import MOST_BOXES
 from docdepth.io.untrusted import parse_yaml
 
@@ -278,12 +278,7 @@ def transform(numbers: list[float] | None, where: str) -> NDArray[np.float64]:
         raise CalibrationError(f"{where} must be 16 numbers, row by row; got {numbers}")
     T = np.eye(4)
     T[: len(numbers) // 4] = np.array(numbers).reshape(-1, 4)
-    try:
-        check_rigid(T[None])
-    except InputError:
-        raise CalibrationError(
-            f"{where} must be a rotation and a translation in metres{if_mirrored(T)}; got {numbers}"
-        ) from None
+    checked_place(where, T)
     if np.linalg.norm(T[:3, 3]) > _MOST_METRES:
         raise CalibrationError(f"{where} moves by more than {_MOST_METRES:g} m; is it in metres?")
     # A matrix printed with few digits is a rotation only nearly; a whole one is kept to the bit.

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from docdepth.errors import CalibrationError, InputError
 from docdepth.geometry.points import ShortRepr, as_array, float_array
-from docdepth.geometry.se3 import inverse
+from docdepth.geometry.se3 import check_rigid, if_mirrored, inverse
 from docdepth.geometry.trajectory import Trajectory
 
 NEAREST = 0.1
@@ -112,6 +112,21 @@ def camera_of(K: ArrayLike, size: tuple[int, int], where: str) -> Camera:
         return Camera(np.asarray(K, np.float64), *size)
     except CalibrationError as error:
         raise CalibrationError(f"{where}: {error}") from None
+
+
+def checked_place(where: str, T: ArrayLike, remedy: str = "") -> NDArray[np.float64]:
+    """The place of a camera or LiDAR, a rigid transform (4, 4) that ``where`` tells of."""
+    matrix = float_array(where, T)
+    if matrix.shape != (4, 4):
+        raise CalibrationError(f"{where} must be a 4x4 matrix; its shape is {matrix.shape}")
+    try:
+        check_rigid(matrix[None])
+    except InputError:
+        raise CalibrationError(
+            f"{where} must be a 4x4 rotation and translation in metres{if_mirrored(matrix)}; "
+            f"{remedy or f'got {matrix.tolist()}'}"
+        ) from None
+    return matrix
 
 
 def pixels_in_image(

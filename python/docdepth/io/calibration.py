@@ -12,9 +12,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from docdepth.errors import CalibrationError, InputError
-from docdepth.geometry.camera import Camera
-from docdepth.geometry.se3 import check_rigid, if_mirrored
+from docdepth.errors import CalibrationError
+from docdepth.geometry.camera import Camera, checked_place
 from docdepth.io.atomic import WriteFile, write_atomically
 from docdepth.io.untrusted import parse_json, read_text
 
@@ -134,8 +133,8 @@ def read_calibration(folder: Path, remedy: str) -> tuple[Camera, NDArray[np.floa
     Without an image size, as in the official release, the principal point is taken for the centre
     of the image.
     """
-    found = _read(folder / INTRINSICS, _camera, remedy)
-    return found[0], _read(folder / EXTRINSICS, _extrinsic, remedy), found[1]
+    camera, distortion, _ = _read(folder / INTRINSICS, _camera, remedy)
+    return camera, _read(folder / EXTRINSICS, _extrinsic, remedy), distortion
 
 
 def read_camera_calibration(file: Path) -> CameraCalibration:
@@ -150,39 +149,32 @@ def read_camera_calibration(file: Path) -> CameraCalibration:
     remedy = "name calib.json of `docdepth.calibration.calibrate()`, or a text file of a 4x4 matrix"
     if file.suffix.lower() != ".json":
         return CameraCalibration(_read(file, _extrinsic, remedy))
-    camera, distortion, entries, T = _read(file, _camera_and_place, remedy)
+    camera, distortion, entries = _read(file, _camera, remedy)
     model = entries.get("model", "pinhole")
     if model not in ("pinhole", "fisheye"):
         raise CalibrationError(f"{file}: model is {model!r}, not pinhole or fisheye")
-    if T is None:
-        T = _read(file.parent / EXTRINSICS, _extrinsic, remedy)
+    if "T_camera_lidar" in entries:
+        T = checked_place(str(file), entries["T_camera_lidar"], remedy)
     else:
-        _rigid(T, file, remedy)
+        T = _read(file.parent / EXTRINSICS, _extrinsic, remedy)
     return CameraCalibration(T, str(entries.get("camera", "")), camera, distortion, model)
 
 
-def _camera(text: str) -> tuple[Camera, list[float]]:
+def _camera(text: str) -> tuple[Camera, list[float], dict[str, Any]]:
+    """Camera, distortion, and all entries."""
     entries = parse_json(text)
     K = np.array(entries["mtx"], dtype=np.float64)
     if K.shape != (3, 3):
         raise ValueError(f"mtx has shape {K.shape}, not (3, 3)")
     width, height = entries.get("size") or np.round(2 * K[:2, 2]).astype(int).tolist()
     distortion = np.ravel(entries.get("dist") or []).astype(float).tolist()
-    return Camera(K, int(width), int(height)), distortion
+    if "T_camera_lidar" in entries:
+        entries["T_camera_lidar"] = np.array(entries["T_camera_lidar"], np.float64)
+    return Camera(K, int(width), int(height)), distortion, entries
 
 
 def _extrinsic(text: str) -> NDArray[np.float64]:
     return np.loadtxt(text.splitlines(), ndmin=2)
-
-
-def _camera_and_place(
-    text: str,
-) -> tuple[Camera, list[float], dict[str, Any], NDArray[np.float64] | None]:
-    """Camera, distortion, all entries, and ``T_camera_lidar`` if it is among them."""
-    entries = parse_json(text)
-    own = "T_camera_lidar" in entries
-    T = np.array(entries["T_camera_lidar"], dtype=np.float64) if own else None
-    return (*_camera(text), entries, T)
 
 
 def _read(file: Path, parse: Callable[[str], _Parsed], remedy: str) -> _Parsed:
@@ -198,18 +190,5 @@ def _read(file: Path, parse: Callable[[str], _Parsed], remedy: str) -> _Parsed:
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise CalibrationError(f"{file} is damaged: {error}") from None
     if isinstance(found, np.ndarray):
-        _rigid(found, file, remedy)
+        checked_place(str(file), found, remedy)
     return found
-
-
-def _rigid(T: NDArray[np.float64], file: Path, remedy: str) -> NDArray[np.float64]:
-    """A rigid transform, or an error that names the file."""
-    if T.shape != (4, 4):
-        raise CalibrationError(f"{file} must hold a 4x4 matrix")
-    try:
-        check_rigid(T[None])
-    except InputError:
-        raise CalibrationError(
-            f"{file} must hold a rotation and a translation in metres{if_mirrored(T)}; {remedy}"
-        ) from None
-    return T

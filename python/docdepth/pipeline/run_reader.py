@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.config import Parameters
-from docdepth.datasets.base import CameraStream, ReadSequence, checked_place
+from docdepth.datasets.base import CameraStream, ReadSequence, checked_index
 from docdepth.errors import DamagedFileError, RunError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.lidar_frame import LidarFrame
@@ -151,7 +151,7 @@ class Run:
         InputError
             No ground is found below the vehicle.
         """
-        return self._occupancy.at(checked_place(index, len(self.sweeps), "sweeps"))
+        return self._occupancy.at(checked_index(index, len(self.sweeps), "sweeps"))
 
     @cached_property
     def _occupancy(self) -> OccupancyGrids:
