@@ -87,3 +87,10 @@ def test_the_cropped_selection(finished, drive, tmp_path, with_intrinsics):
     assert found.all.pixels == same.all.pixels
     assert found.all.mae == pytest.approx(same.all.mae)
     assert found.point_to_point == pytest.approx(same.point_to_point, rel=0.02)  # other samples
+
+
+def test_truth_that_holds_nothing(finished, annotated):
+    for file in annotated.rglob("*.png"):
+        cv2.imwrite(str(file), np.zeros_like(cv2.imread(str(file), -1)))
+    with pytest.raises(DatasetError, match=r"have no pixel in common; is the truth of this camera"):
+        evaluate_depth(finished[0], annotated)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 import docdepth
 from docdepth.datasets import open_dataset
+from docdepth.errors import ConfigError
 from docdepth.export import export
 from docdepth.pipeline.run_reader import Run
 
@@ -127,3 +128,9 @@ def test_docdepth_reads_the_sweeps_again(run: Run, bag: Path) -> None:
     assert len(recording) == len(run.sweeps)
     for index, frame in enumerate(run.sweeps):
         assert np.array_equal(recording.sweep(index).points, frame.points)
+
+
+def test_a_name_of_a_file_is_no_folder(run: Run, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"mcap is a folder of files; name it .*/bag$"):
+        export(run, tmp_path / "bag.mcap", "mcap")
+    assert not list(tmp_path.iterdir())

@@ -1,5 +1,6 @@
 """Run folder files: written whole, read back the same, damaged ones named."""
 
+import errno
 import json
 import os
 from pathlib import Path
@@ -156,3 +157,27 @@ def test_a_camera_that_is_none_is_named_by_its_file(tmp_path, K):
 def test_stage_key_depends_on_every_value():
     assert stage_key({"a": 1.0}, [2]) == stage_key({"a": 1.0}, [2])
     assert stage_key({"a": 1.0}, [2]) != stage_key({"a": 1.0}, [3])
+
+
+def test_what_docdepth_wrote_is_replaced_and_what_others_changed_is_kept(tmp_path):
+    file = tmp_path / "a.csv"
+    write_output(file, b"first")
+    try:
+        os.getxattr(file, "user.docdepth")
+    except (OSError, AttributeError):
+        pytest.skip("files have no attributes here")
+    write_output(file, b"second")
+    assert [p.name for p in tmp_path.iterdir()] == ["a.csv"]
+    file.write_bytes(b"mine")
+    write_output(file, b"third")
+    assert (tmp_path / "a.csv.old").read_bytes() == b"mine"
+    assert file.read_bytes() == b"third"
+
+
+def test_file_systems_that_cannot_sync(tmp_path, monkeypatch):
+    def fsync(descriptor):
+        raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    write_atomically(tmp_path / "a", b"content")
+    assert (tmp_path / "a").read_bytes() == b"content"

@@ -199,7 +199,12 @@ def evaluate_depth(
         if (both := np.isfinite(made) & np.isfinite(true)).any():
             ratios.append(float(np.median(true[both] / made[both])))
         progress("depth", done, len(truth.maps))
-    ratio = np.median(ratios) if ratios else 1.0
+    if not ratios:
+        raise DatasetError(
+            f"{truth.folder} and the depth of {run} have no pixel in common; is the truth of this "
+            "camera?"
+        )
+    ratio = np.median(ratios)
     if not 1 / _OTHER_SCALE < ratio < _OTHER_SCALE:
         log.warning(
             "the depth in %s is %.3g times that of the run; depth is in metres, PNG in metres x "

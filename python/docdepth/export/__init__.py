@@ -24,6 +24,9 @@ EXPORTS: dict[str, Callable[[Run, Path, Progress], int]] = {
 """What writes each layout; it returns how many images it has written, sweeps of occupancy, or
 points of the map."""
 
+_OF_FILES = (".mcap", ".json", ".ply", ".laz", ".npz", ".npy", ".bin", ".zip")
+"""Suffixes that tell that a user expects a file."""
+
 
 def export(
     run: Run | Path | str, output: Path | str, to: str, progress: Progress = null_progress
@@ -45,5 +48,7 @@ def export(
     output = Path(output)
     if to not in EXPORTS:
         raise ConfigError(f"unknown layout {to!r}; there are {', '.join(EXPORTS)}")
+    if output.suffix in _OF_FILES and not output.is_dir():
+        raise ConfigError(f"{to} is a folder of files; name it {output.with_suffix('')}")
     with new_output(output):
         return EXPORTS[to](run if isinstance(run, Run) else open_run(run), output, progress)

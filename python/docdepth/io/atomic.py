@@ -36,6 +36,7 @@ WriteFile = Callable[[Path, Content], None]
 _CHUNK = 1 << 22  # bytes that are read at once for a checksum
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, None)  # numpy tells no number
 _TRIES, _PAUSE = 4, 0.05  # seconds
+_MARK = "user.docdepth"  # attribute of a file with the checksum of what docdepth wrote into it
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def write_atomically(
     before_rename : callable, optional
         Called when the content is on disk.
     """
-    part = path.with_name(f".{path.name}.part")
+    part = _part_of(path)
     try:
         with contextlib.suppress(FileExistsError):  # opening the file says that it is no folder
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -78,7 +79,7 @@ def write_atomically(
                 content(stream)
             stream.flush()
             if sync:
-                os.fsync(stream.fileno())
+                _sync(stream.fileno())
             known = os.fstat(stream.fileno())
         if before_rename:
             before_rename(Written(known.st_size, known.st_mtime_ns, checksum(part)))
@@ -94,6 +95,14 @@ def write_atomically(
     except BaseException:
         part.unlink(missing_ok=True)
         raise
+
+
+def _sync(descriptor: int) -> None:
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some file systems cannot
+            raise
 
 
 def npz_bytes(*, compressed: bool = False, **arrays: Any) -> bytes:
@@ -113,20 +122,39 @@ def checksum(path: Path) -> int:
 
 
 def write_output(path: Path, content: Content) -> None:
-    """Write a file in a folder that a user named; one with other content becomes ``NAME.old``."""
+    """Write a file in a folder that a user named; one of the user's own becomes ``NAME.old``."""
 
     def keep(written: Written) -> None:
-        if not has_content(path, written):
-            move_aside(path)
+        _make_way(path, _part_of(path), written)
 
     write_atomically(path, content, before_rename=keep)
 
 
 def replace_output(part: Path, path: Path) -> None:
     """Give a whole file of another name its own, as :func:`write_output` does."""
-    if not has_content(path, Written(part.stat().st_size, 0, checksum(part))):
-        move_aside(path)
+    _make_way(path, part, Written(part.stat().st_size, 0, checksum(part)))
     os.replace(part, path)
+
+
+def _make_way(path: Path, part: Path, written: Written) -> None:
+    """Move a file aside unless docdepth wrote it as it is; mark the one that takes its place."""
+    mark = _mark(path)
+    if not has_content(path, written) and (mark is None or mark != b"%d" % checksum(path)):
+        move_aside(path)
+    with contextlib.suppress(OSError, AttributeError):  # systems without such marks
+        os.setxattr(part, _MARK, b"%d" % written.checksum)
+
+
+def _mark(path: Path) -> bytes | None:
+    try:
+        return os.getxattr(path, _MARK)
+    except (OSError, AttributeError):
+        return None
+
+
+def _part_of(path: Path) -> Path:
+    """What a file is called until it is whole."""
+    return path.with_name(f".{path.name}.part")
 
 
 @contextmanager

@@ -114,6 +114,11 @@ def read_labels(file: Path, points: int, frame: int) -> NDArray[np.uint32]:
     """SemanticKITTI's label of every row of a sweep, shape (points,), from a ``.label`` file."""
     try:
         content = read_file(file)
+    except FileNotFoundError:
+        raise DatasetError(
+            f"{file} (frame {frame}) cannot be read: it is missing; labels lie in files called as "
+            "their sweeps, NAME.label"
+        ) from None
     except OSError as error:
         raise DatasetError(f"{file} (frame {frame}) cannot be read: {error.strerror}") from None
     if len(content) % 4:
