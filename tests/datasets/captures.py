@@ -132,7 +132,9 @@ def velodyne_packet(number: int) -> bytes:
     return packet.tobytes()
 
 
-def write_capture(path: Path, packets: list[tuple[int, bytes]], sender: str = "10.0.0.1") -> None:
+def write_capture(
+    path: Path, packets: list[tuple[int, bytes]], sender: str = "10.0.0.1", port: int = 2368
+) -> None:
     """A capture of packets and the times of their arrival in ns, by dpkt."""
     dpkt = pytest.importorskip("dpkt")
     import socket
@@ -140,7 +142,7 @@ def write_capture(path: Path, packets: list[tuple[int, bytes]], sender: str = "1
     with path.open("ab" if path.is_file() else "wb") as stream:
         writer = dpkt.pcap.Writer(stream, nano=True)
         for time, data in packets:
-            udp = dpkt.udp.UDP(sport=2368, dport=2368, data=data, ulen=8 + len(data))
+            udp = dpkt.udp.UDP(sport=port, dport=port, data=data, ulen=8 + len(data))
             ip = dpkt.ip.IP(src=socket.inet_aton(sender), dst=b"\xff" * 4, p=17, data=udp)
             ip.len = len(ip)
             ethernet = dpkt.ethernet.Ethernet(src=b"\1" * 6, dst=b"\xff" * 6, data=ip)

@@ -300,7 +300,7 @@ def test_messages_that_arrive_out_of_order_are_sorted_by_their_stamps(tmp_path: 
 
 def test_headers_without_stamps(tmp_path: Path) -> None:
     path = points_alone(tmp_path / "drive", "db3", lambda bag, k, t: bag.cloud(padded_rows(k), 0))
-    with pytest.raises(DatasetError, match=r"/points: headers have no stamps; say stamps: record"):
+    with pytest.raises(DatasetError, match=r"/points: 5 of 5 headers have no stamps; say stamps: "):
         open_dataset(path)
     say(path, stamps="record")
     np.testing.assert_array_equal(open_dataset(path).times, DRIVE.times + np.arange(5))
@@ -513,3 +513,53 @@ def test_parts_of_a_bag_are_one_recording(tmp_path: Path) -> None:
     shutil.copy(folder / "2026-01-01_1.bag", folder / "2026-01-01_3.bag")
     with pytest.raises(DatasetError, match="holds 3 recordings"):
         open_dataset(folder)
+
+
+@pytest.mark.parametrize("first", [0, None])
+def test_one_header_without_a_stamp(tmp_path: Path, first: int | None) -> None:
+    """A simulation begins at 0; among stamps since 1970 there is none at 0."""
+    since = DRIVE.times[0] if first is None else 0
+
+    def message(bag, k, time):
+        return bag.cloud(padded_rows(k), 0 if k == 0 else int(time - since))
+
+    path = points_alone(tmp_path / "drive", "mcap", message)
+    if first is None:
+        assert open_dataset(path).times[0] == 0
+    else:
+        with pytest.raises(DatasetError, match=r"1 of 5 headers have no stamps; say stamps: rec"):
+            open_dataset(path)
+
+
+def test_lengths_of_rows_that_are_wrong(tmp_path: Path) -> None:
+    def message(bag, k, time):
+        cloud = bag.cloud(padded_rows(k), time)
+        cloud.height, cloud.width = cloud.width, 1
+        return cloud
+
+    dataset = open_dataset(points_alone(tmp_path / "drive", "mcap", message))
+    np.testing.assert_array_equal(dataset.sweep(2).points, DRIVE.points(2))
+
+
+def test_of_two_fields_of_times_the_one_that_changes_is_taken(tmp_path: Path) -> None:
+    def message(bag, k, time):
+        rows = padded_rows(k)
+        kinds = {"time": ("<f4", 0), "x": ("<f4", 4), "y": ("<f4", 8), "z": ("<f4", 12)}
+        kinds["timestamp"] = ("<f8", 16)
+        names, formats, offsets = list(kinds), *zip(*kinds.values(), strict=True)
+        table = np.zeros(len(rows), {"names": names, "formats": formats, "offsets": offsets})
+        for name in "xyz":
+            table[name] = rows[name]
+        table["timestamp"] = time * 1e-9 + rows["time"]
+        return bag.cloud(table, time)
+
+    sweep = open_dataset(points_alone(tmp_path / "drive", "mcap", message)).sweep(1)
+    np.testing.assert_allclose(sweep.relative_time, DRIVE.rows(1)["share"], atol=1e-5)
+
+
+def test_mcap_of_another_program(tmp_path: Path) -> None:
+    writer = pytest.importorskip("mcap.writer").Writer(str(tmp_path / "a.mcap"))
+    writer.start("", "a program")
+    writer.finish()
+    with pytest.raises(DatasetError, match=r"a.mcap cannot be opened.*MCAP of ROS 2 alone"):
+        open_dataset(tmp_path / "a.mcap")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import pickle
 import struct
 from collections.abc import Callable
@@ -31,6 +32,23 @@ def text(content: str) -> Change:
 
 def content(made: bytes) -> Change:
     return lambda file: file.write_bytes(made)
+
+
+def content_at(place: int, made: bytes) -> Change:
+    def change(file: Path) -> None:
+        whole = file.read_bytes()
+        file.write_bytes(whole[:place] + made + whole[place + len(made) :])
+
+    return change
+
+
+def without(column: str) -> Change:
+    def change(file: Path) -> None:
+        feather = pytest.importorskip("pyarrow.feather")
+        table = feather.read_table(file, memory_map=False)
+        feather.write_feather(table.drop_columns([column]), str(file))
+
+    return change
 
 
 def cut(file: Path) -> None:
@@ -135,6 +153,12 @@ BROKEN: list[tuple[str, str, Change, type, str]] = [
     ("DGP", "scene_1234.json", swap('"X"', '""'), D, "point_format"),
     ("DGP", "abc.json", swap('"fx": ', '"fx": "x", "FX": '), C, "intrinsics: "),
     ("DGP", "scene_1234.json", swap("point_cloud/", "/etc/"), D, "out of the recording"),
+    ("nuScenes", "scene.json", content(b"\xff\xfe["), D, "is not a text file"),
+    ("Argoverse 2", "intrinsics.feather", without("width_px"), D, "no column width_px"),
+    ("Argoverse 2", "city_SE3_egovehicle.feather", without("qw"), D, "no column qw"),
+    ("folder of las", "000000.las", content_at(131, bytes(24)), D, "its scales are [0.0, 0.0"),
+    ("folder of las", "000000.las", content_at(107, b"\xff" * 4), D, "too few bytes"),
+    ("folder of laz", "000000.laz", content_at(107, b"\xff" * 4), D, "too few bytes"),
 ]  # fmt: skip
 
 
@@ -179,7 +203,7 @@ def test_points_that_a_file_is_too_short_for(tmp_path: Path) -> None:
     content = bytearray((tmp_path / "a.las").read_bytes())
     content[107:111] = (11).to_bytes(4, "little")
     (tmp_path / "a.las").write_bytes(content)
-    with pytest.raises(DatasetError, match=r"frame 3.* holds 9 of 11 points"):
+    with pytest.raises(DatasetError, match=r"frame 3.* tells of 11 points, for which"):
         read_cloud(tmp_path / "a.las", "frame 3", RowFormat())
 
 
@@ -232,3 +256,50 @@ def test_poses_may_be_left_out(what: str, tmp_path: Path) -> None:
     (table,) = (file for name in names for file in tmp_path.rglob(name))
     table.unlink()
     assert open_dataset(path).poses is None
+
+
+def in_utf_16(file: Path) -> None:
+    file.write_bytes(file.read_text().encode("utf-16"))
+
+
+@pytest.mark.parametrize(
+    ("what", "pattern", "change"),
+    [
+        ("nuScenes", "v1.0-mini/*.json", in_utf_16),
+        ("nuScenes", "sample_data.json", swap("sweeps/LIDAR_TOP/", r"sweeps\\\\LIDAR_TOP\\\\")),
+        ("DGP", "scene_1234.json", in_utf_16),
+        ("DGP", "scene_1234.json", swap('Z"}, "key"', '+00:00"}, "key"')),
+    ],
+)
+def test_tables_as_other_systems_write_them(
+    what: str, pattern: str, change: Change, tmp_path: Path
+) -> None:
+    path = WRITERS[what][1](tmp_path).path
+    before = open_dataset(path)
+    for file in tmp_path.rglob(pattern):
+        change(file)
+    after = open_dataset(path)
+    np.testing.assert_array_equal(after.times, before.times)
+    np.testing.assert_array_equal(after.sweep(1).points, before.sweep(1).points)
+
+
+@pytest.mark.parametrize(("what", "images"), [("nuScenes", "CAM_FRONT"), ("DGP", "CAMERA_01")])
+def test_an_image_that_is_missing_at_the_beginning(tmp_path: Path, what: str, images: str) -> None:
+    path = WRITERS[what][1](tmp_path).path
+    first = min(tmp_path.rglob(f"{images}/*"))
+    first.unlink()
+    camera = open_dataset(path).cameras[images]
+    assert camera.image(1) is not None
+    with pytest.raises(DatasetError, match=rf"{first.name} is missing"):
+        camera.image(0)
+
+
+def test_millimetres_of_a_calibration(tmp_path: Path) -> None:
+    path = WRITERS["nuScenes"][1](tmp_path).path
+    file = tmp_path / "v1.0-mini" / "calibrated_sensor.json"
+    rows = json.loads(file.read_text())
+    for row in rows:
+        row["translation"] = [1000 * metres for metres in row["translation"]]
+    file.write_text(json.dumps(rows))
+    with pytest.raises(CalibrationError, match=r"CAM_FRONT.*moves by more than 100 m"):
+        open_dataset(path)

@@ -327,3 +327,23 @@ def test_angles_that_are_none(tmp_path: Path, text: str) -> None:
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(DatasetError, match=r"a.csv does not have the angles of a PandarXT-32"):
         hesai.read_angles(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("maker", ["velodyne", "hesai"])
+def test_json_of_something_else_beside_a_capture(tmp_path: Path, maker: str) -> None:
+    pytest.importorskip("velodyne_decoder")
+    packets = velodyne_drive() if maker == "velodyne" else hesai_drive()
+    write_capture(tmp_path / "drive.pcap", packets)
+    (tmp_path / "notes.json").write_text("{}")
+    assert open_dataset(tmp_path / "drive.pcap").name == maker
+
+
+def test_two_velodynes_behind_one_address(tmp_path: Path) -> None:
+    packets = velodyne_drive()
+    write_capture(tmp_path / "drive.pcap", packets)
+    write_capture(tmp_path / "other.pcap", packets, port=2369)
+    head = 24
+    joined = (tmp_path / "drive.pcap").read_bytes() + (tmp_path / "other.pcap").read_bytes()[head:]
+    (tmp_path / "both.pcap").write_bytes(joined)
+    with pytest.raises(DatasetError, match=r"both.pcap holds packets of 2 LiDARs"):
+        open_dataset(tmp_path / "both.pcap")

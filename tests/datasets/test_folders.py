@@ -88,6 +88,13 @@ def test_coordinates_that_are_no_numbers(tmp_path: Path, kind: str) -> None:
         read_cloud(tmp_path / "a.npy", "frame 3", RowFormat())
 
 
+def test_times_are_said_once(tmp_path: Path) -> None:
+    folder = WRITERS["folder of npy"][1](tmp_path).path
+    change(folder, rate=10)
+    with pytest.raises(DatasetError, match=r"times and rate both tell the times; leave one out"):
+        open_dataset(folder)
+
+
 @pytest.mark.parametrize(
     "columns", [[], ["x", "y", "z", "x"], ["x", "y", "intensity"], ["X", "x", "y", "z"]]
 )

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from writers import WRITERS
+from formats import WRITERS
 
 from docdepth.datasets import Format, format_names, open_dataset, registry
 from docdepth.datasets.formats.kitti_raw import KittiRaw
@@ -103,3 +103,26 @@ def test_a_capture_in_capitals(tmp_path: Path) -> None:
 def test_captures_of_other_kinds_are_to_be_converted(tmp_path: Path, name: str, tool: str) -> None:
     (tmp_path / name).touch()
     assert f"write one by {tool}" in open_dataset_fails(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("what", "part", "whole"),
+    [
+        ("nuScenes", "v1.0-mini", ""),
+        ("Argoverse 2", "*/sensors/lidar", "adcf7d18*"),
+        ("folder of las", "clouds/000000.las", "clouds"),
+        ("Waymo", "lidar/*.parquet", ""),
+    ],
+)
+def test_a_part_of_a_recording_tells_which(
+    tmp_path: Path, what: str, part: str, whole: str
+) -> None:
+    WRITERS[what][1](tmp_path)
+    (named,) = tmp_path.glob(part)
+    above = next(tmp_path.glob(whole)) if whole else tmp_path
+    assert open_dataset_fails(named).endswith(f"; name {above}")
+
+
+def test_waymo_s_first_version(tmp_path: Path) -> None:
+    (tmp_path / "a.tfrecord").write_bytes(b"")
+    assert "Waymo's version 2" in open_dataset_fails(tmp_path / "a.tfrecord")

@@ -99,3 +99,24 @@ def test_text_beside_clouds_is_something_else(tmp_path: Path) -> None:
     rows = rfn.unstructured_to_structured(POINTS.astype("f4"), names=list("xyz"))
     write_pcd(folder / "000000.pcd", rows)
     assert [file.name for file in cloud_files(folder)] == ["000000.pcd"]
+
+
+@pytest.mark.parametrize(
+    ("head", "mark"),
+    [
+        ("X1 (mm),Y1 (mm),Z1 (mm),SIGNAL1", ","),
+        ("# X1 (mm), Y1 (mm), Z1 (mm), SIGNAL1,", ","),
+        ("X1 (mm) Y1 (mm) Z1 (mm) SIGNAL1", " "),
+    ],
+)
+def test_columns_that_are_said_keep_the_units_of_the_head(
+    tmp_path: Path, head: str, mark: str
+) -> None:
+    """Names as Ouster Studio has them are no coordinates until the user says so."""
+    row = mark.join(["1500", "2500", "-3000", "7"])
+    (tmp_path / "a.csv").write_text(f"{head}\n{row}\n")
+    with pytest.raises(DatasetError, match=r"no field x, only x1, y1, z1, signal1"):
+        read_cloud(tmp_path / "a.csv", "a", RowFormat())
+    cloud = read_cloud(tmp_path / "a.csv", "a", RowFormat(("x", "y", "z", "intensity")))
+    np.testing.assert_allclose(cloud.points, [[1.5, 2.5, -3]])
+    np.testing.assert_array_equal(cloud.intensity, [7])

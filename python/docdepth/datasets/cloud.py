@@ -155,8 +155,8 @@ def cloud_from_fields(rows: NDArray[Any], where: str) -> Cloud:
     return Cloud(
         np.ascontiguousarray(points),
         None if intensity is None else np.ascontiguousarray(intensity, np.float32),
-        None if ring is None else _rings(ring),
-        _first(rows, names, (*TIME_NAMES, *alike)),
+        None if ring is None else rings(ring),
+        _times(rows, names, (*TIME_NAMES, *alike)),
     )
 
 
@@ -181,7 +181,13 @@ def _first(rows: NDArray[Any], names: dict[str, str], wanted: Sequence[str]) -> 
     return None if found is None or rows[found].ndim != 1 else np.ascontiguousarray(rows[found])
 
 
-def _rings(values: NDArray[Any]) -> NDArray[np.uint16]:
+def _times(rows: NDArray[Any], names: dict[str, str], wanted: Sequence[str]) -> NDArray[Any] | None:
+    """The first field of times that changes: drivers also keep one that they never fill."""
+    found = [times for n in wanted if (times := _first(rows, names, [n])) is not None]
+    return next((times for times in found if (times != times[:1]).any()), next(iter(found), None))
+
+
+def rings(values: NDArray[Any]) -> NDArray[np.uint16]:
     """Numbers of lasers, which some drivers give as floats, NaN where nothing returned."""
     whole = np.nan_to_num(values, nan=0, posinf=0, neginf=0) if values.dtype.kind == "f" else values
     return np.clip(whole, 0, 0xFFFF).astype(np.uint16)

@@ -31,7 +31,7 @@ from docdepth.errors import DamagedFileError, DatasetError, InputError, RunError
 from docdepth.geometry.se3 import poses_from, quaternion_to_matrix
 from docdepth.io.pcd import PcdError, read_pcd, read_pcd_header
 from docdepth.io.ply import read_vertices
-from docdepth.io.untrusted import ArrayError, open_file, read_array, read_file
+from docdepth.io.untrusted import MOST_PACKED, ArrayError, open_file, read_array, read_file
 
 NANOSECOND, MICROSECOND = 1, 1000
 _RECORD = 54  # bytes at least of a record with a variable length (VLR) of a LAS file
@@ -43,9 +43,14 @@ KITTI_COLUMNS = ("x", "y", "z", "intensity")
 class RowFormat:
     """What the rows of a file without names are, of BIN, NPY or text."""
 
-    # names of the values of a point; ``_`` for those that mean nothing
-    columns: tuple[str, ...] = KITTI_COLUMNS
+    # names of the values of a point, ``_`` for those that mean nothing; None: not said
+    said: tuple[str, ...] | None = None
     dtype: str = "float32"  # of each value in a BIN file, in numpy's words
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the values of a point."""
+        return self.said or KITTI_COLUMNS
 
 
 def read_cloud(file: Path, where: str, rows: RowFormat) -> Cloud:
@@ -141,7 +146,7 @@ def _read_npy(file: Path, where: str, rows: RowFormat) -> Cloud:
 
 def _read_text(file: Path, where: str, rows: RowFormat) -> Cloud:
     names, table = read_table(file, where)
-    if names is not None and rows.columns == KITTI_COLUMNS:
+    if names is not None and not rows.said:
         if twice := next((name for name in names if name != "_" and names.count(name) > 1), None):
             raise DatasetError(f"{where} has two columns {twice}; say columns in docdepth.yaml")
         rows = RowFormat(tuple(names))
@@ -151,7 +156,7 @@ def _read_text(file: Path, where: str, rows: RowFormat) -> Cloud:
 def _named(table: NDArray[Any], rows: RowFormat, where: str) -> NDArray[Any]:
     """Rows with a field for each column."""
     columns = rows.columns
-    if table.ndim == 2 and table.shape[1] == 3 and columns == KITTI_COLUMNS:
+    if table.ndim == 2 and table.shape[1] == 3 and not rows.said:
         columns = columns[:3]
     if table.ndim != 2 or table.shape[1] != len(columns):
         raise DatasetError(
@@ -170,12 +175,18 @@ def _read_las(file: Path, where: str, rows: RowFormat) -> Cloud:
     # laspy goes through as many records as the header tells of, also after the end.
     if int.from_bytes(content[100:104], "little") * _RECORD > len(content):
         raise DatasetError(f"{where} tells of more records than it has bytes; copy it again")
-    with library_errors(where, "copy it again"):
-        las = laspy.read(io.BytesIO(content))
-    if len(las.points) < las.header.point_count:  # which laspy only logs
-        raise DatasetError(
-            f"{where} holds {len(las.points)} of {las.header.point_count} points; copy it again"
-        )
+    with library_errors(where, "copy it again"), laspy.open(io.BytesIO(content)) as reader:
+        header = reader.header
+        room = len(content) - header.offset_to_point_data
+        most = room * (MOST_PACKED if header.are_points_compressed else 1)
+        if header.point_count * header.point_format.size > most:  # laspy takes memory for them
+            raise DatasetError(
+                f"{where} tells of {header.point_count} points, for which it has too few bytes; "
+                "copy it again"
+            )
+        if not all(0 < scale < np.inf for scale in header.scales):
+            raise DatasetError(f"{where}: its scales are {header.scales.tolist()}; write it again")
+        las = reader.read()
     columns: dict[str, NDArray[Any]] = {axis: np.asarray(las[axis], "f8") for axis in "xyz"}
     columns["intensity"] = np.asarray(las.intensity, "f4")
     if "gps_time" in las.point_format.dimension_names:

@@ -5,7 +5,6 @@ Some sweeps or images may be broken: then others beside them tell what a recordi
 
 from __future__ import annotations
 
-import codecs
 import os
 import threading
 import warnings
@@ -23,7 +22,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, 
 
 from docdepth.errors import CalibrationError, DatasetError, DocDepthError, MissingExtraError
 from docdepth.io.images import decode_photo
-from docdepth.io.untrusted import read_file, read_text
+from docdepth.io.untrusted import as_utf_8, read_file, read_text
 
 _Opened = TypeVar("_Opened")
 _File = TypeVar("_File")
@@ -106,9 +105,11 @@ def read_json(
     file: Path, remedy: str, form: type[_Read], error: type[DocDepthError] = DatasetError
 ) -> _Read:
     """The content of a JSON file, which has this form, in pydantic's words; more is ignored."""
-    content = read_bytes(file, remedy).removeprefix(codecs.BOM_UTF8)
+    content = read_bytes(file, remedy)
     try:
-        return TypeAdapter(form).validate_json(content)
+        return TypeAdapter(form).validate_json(as_utf_8(content))
+    except UnicodeDecodeError:
+        raise error(f"{file} is not a text file; {remedy}") from None
     except ValidationError as failed:
         (first, *_) = failed.errors()
         found = ": ".join([*map(str, first["loc"]), first["msg"]])
@@ -116,6 +117,7 @@ def read_json(
 
 
 def _is_inside(path: str) -> str:
+    path = path.replace("\\", "/")  # of Windows
     if not path or "\0" in path or path.startswith("/") or ".." in path.split("/"):
         raise ValueError("it leads out of the recording")
     return path
@@ -179,6 +181,11 @@ ImageSource = Path | StoredImage
 def read_image_of(image: ImageSource) -> NDArray[np.uint8]:
     """An image as BGR, wherever it is."""
     return image.read() if isinstance(image, StoredImage) else read_image(Path(image))
+
+
+def images_if_any(files: list[Path]) -> list[Path]:
+    """The images of a camera; none where no file of them is there."""
+    return files if any(file.is_file() for file in files) else []
 
 
 def file_of(image: ImageSource) -> Path:

@@ -39,6 +39,7 @@ _DEEPEST = 3  # levels below a folder that are searched: KITTI's ROOT/DATE/DRIVE
 _TOOLS = {
     ".osf": "docdepth reads captures as pcap; write one by ouster-cli source IN save OUT.pcap",
     ".pcapng": "docdepth reads captures as pcap; write one by editcap -F pcap IN OUT",
+    ".tfrecord": "docdepth reads Waymo's version 2, whose files are Parquet",
     ".active": "this bag was not closed; mend it by rosbag reindex, and call it NAME.bag",
 }
 """What makes a recording that docdepth reads of another file, by its suffix."""
@@ -62,9 +63,9 @@ _OWN: tuple[Format, ...] = (
     nclt.FORMAT,
     boreas.FORMAT,
     pandaset.FORMAT,
-    ouster.FORMAT,
     hesai.FORMAT,
     velodyne.FORMAT,
+    ouster.FORMAT,
     bag_recording.FORMAT,
     cloud_folder.DYNAMIC_MAP,
     cloud_folder.FORMAT,
@@ -213,6 +214,13 @@ def _find_recording(path: Path, wanted: Format | None) -> tuple[Path, Format]:
         raise DatasetError(f"{packed} is packed; unpack it and name what comes out")
     if tool := _TOOLS.get(path.suffix.lower()):
         raise DatasetError(f"{path}: {tool}")
+    for above in path.absolute().parents[:_DEEPEST]:
+        wholes = [f for f in formats if f.found_below or path.is_file()]
+        fitting = (f for f in wholes if os.access(above, os.R_OK) and f.recognises(above))
+        if part := next(fitting, None):
+            raise DatasetError(
+                f"{path} is a part of a recording that docdepth reads ({part.name}); name {above}"
+            )
     clouds = _clouds_below(path)
     if clouds:
         raise DatasetError(

@@ -28,15 +28,20 @@ from docdepth.datasets.files import FILE, is_there, read_image, read_lines, sett
 from docdepth.datasets.point_times import Instant, Unit
 from docdepth.datasets.pose_tables import read_poses_at
 from docdepth.errors import CalibrationError, DatasetError
-from docdepth.geometry.camera import Camera, camera_of, checked_place
+from docdepth.geometry.camera import MOST_METRES, Camera, camera_of, checked_place
 from docdepth.geometry.se3 import nearest_rigid
 from docdepth.io.inputs import MOST_BOXES
 from docdepth.io.untrusted import parse_yaml
 
 _WHOLE = 1e-9  # of a rotation's numbers; larger errors come of missing digits
-_WORDS = {"Input should be": "it must be", "a valid boolean": "true or false", "a valid": "a"}
+_WORDS = {
+    "Input should be": "it must be",
+    "a valid boolean": "true or false",
+    "a valid integer": "a whole number",
+    "a valid tuple": "a list",
+    "a valid": "a",
+}
 _MOST_PIXELS = 1e6  # of a corner of a mask, which may lie beside the image
-_MOST_METRES = 100.0  # of a sensor from the origin of its frame; more is a mistake of units
 
 
 def _flat(value: Any) -> Any:
@@ -153,7 +158,7 @@ class RecordingSettings(Strict):
     def _are_boxes(cls, boxes: list[list[float]] | None) -> list[list[float]] | None:
         for box in boxes or ():
             low, high = np.array(box).reshape(3, 2).T if len(box) == 6 else (np.zeros(3),) * 2
-            if not ((low < high) & (np.abs([low, high]) < _MOST_METRES).all(axis=0)).all():
+            if not ((low < high) & (np.abs([low, high]) < MOST_METRES).all(axis=0)).all():
                 raise ValueError(
                     "ego_boxes must be boxes [[x, x], [y, y], [z, z]], least and greatest "
                     f"coordinates in metres; got {box}"
@@ -163,7 +168,7 @@ class RecordingSettings(Strict):
     @field_validator("sensor_origin", mode="before")
     @classmethod
     def _is_place(cls, place: Any) -> Any:
-        if place is not None and not np.linalg.norm(_three(place), np.inf) < _MOST_METRES:
+        if place is not None and not np.linalg.norm(_three(place), np.inf) < MOST_METRES:
             raise ValueError(f"sensor_origin must be [x, y, z] in metres, got {place}")
         return place
 
@@ -279,8 +284,6 @@ def transform(numbers: list[float] | None, where: str) -> NDArray[np.float64]:
     T = np.eye(4)
     T[: len(numbers) // 4] = np.array(numbers).reshape(-1, 4)
     checked_place(where, T)
-    if np.linalg.norm(T[:3, 3]) > _MOST_METRES:
-        raise CalibrationError(f"{where} moves by more than {_MOST_METRES:g} m; is it in metres?")
     # A matrix printed with few digits is a rotation only nearly; a whole one is kept to the bit.
     nearest = nearest_rigid(T)
     return nearest if np.abs(nearest - T).max() > _WHOLE else T
@@ -297,6 +300,7 @@ def _reasons(error: ValidationError) -> list[str]:
             reasons.append(f"{entry} is unknown")
         else:
             wanted = one["msg"].removesuffix(", unable to interpret input")
+            wanted = wanted.partition(" or instance of")[0]
             for theirs, ours in _WORDS.items():
                 wanted = wanted.replace(theirs, ours)
             reasons.append(f"{entry} is {one['input']!r}: {wanted}")

@@ -57,7 +57,7 @@ def read_table(file: Path, where: str) -> tuple[list[str] | None, NDArray[np.flo
         table = parse_numbers(words, "f8")
     except ArrayError as error:
         raise DatasetError(f"{where} holds a value that is no number ({error})") from None
-    names, scales = _names(lines[first - 1], mark) if first else ([], [])
+    names, scales = _names(lines[first - 1]) if first else ([], [])
     if len(scales) == table.shape[1]:
         table *= scales
     used = ~np.isnan(table).all(axis=0)
@@ -85,12 +85,13 @@ def _is_row(line: bytes) -> bool:
         return False
 
 
-def _names(line: bytes, mark: bytes | None) -> tuple[list[str], list[float]]:
+def _names(line: bytes) -> tuple[list[str], list[float]]:
     """Names of the columns, and what makes metres of their values."""
     for comment in _COMMENTS:
         line = line.removeprefix(comment)
-    text = line.strip().decode("utf-8", "replace").lower()
-    words = [word.strip(" \"'") for word in text.split(mark.decode() if mark else None)]
+    mark = (_mark(line) or b"").decode()
+    text = re.sub(r" +(?=[\[(])", "", line.strip().decode("utf-8", "replace").lower())
+    words = [word.strip(" \"'") for word in text.rstrip(mark).split(mark or None)]
     units = [_UNIT.search(word) for word in words]
     scales = [_METRES.get(unit[1] if unit else "m", 1.0) for unit in units]
     named = {word for word in words if word in ("x", "y", "z")}

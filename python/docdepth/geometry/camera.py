@@ -18,6 +18,9 @@ from docdepth.geometry.trajectory import Trajectory
 NEAREST = 0.1
 """Points nearer to the plane of a camera are not in front of it [m]."""
 
+MOST_METRES = 100.0
+"""A sensor is no farther from the origin of its frame; more is a mistake of units."""
+
 _WIDEST = 1 << 20  # pixels of a row or column; OpenCV reads no larger image
 _FOCAL = 1e-6, 1e6
 """Between which focal lengths lie [pixel]."""
@@ -126,6 +129,8 @@ def checked_place(where: str, T: ArrayLike, remedy: str = "") -> NDArray[np.floa
             f"{where} must be a 4x4 rotation and translation in metres{if_mirrored(matrix)}; "
             f"{remedy or f'got {matrix.tolist()}'}"
         ) from None
+    if np.linalg.norm(matrix[:3, 3]) > MOST_METRES:
+        raise CalibrationError(f"{where} moves by more than {MOST_METRES:g} m; is it in metres?")
     return matrix
 
 

@@ -34,7 +34,7 @@ _OF_WINDOWS = re.compile(rb"[-+]?(?:1\.#(?:[QS]NAN|IND|INF)\d*|nan\([^)]*\))", r
 _LONGEST_HEADER = 10_000  # bytes
 _MOST_BYTES = 4 << 30  # of a file that is read as a whole; a sparse one takes no place on the disk
 _MOST_TEXT = 256 << 20  # bytes of a text; times and poses of a year of sweeps have less
-_MOST_PACKED = 1100  # times as large as its compressed bytes; deflate packs 1032 into one
+MOST_PACKED = 1100  # times as large as its compressed bytes; deflate packs 1032 into one
 
 
 def open_file(path: Path | str) -> BinaryIO:
@@ -82,10 +82,21 @@ def read_text(path: Path | str) -> str:
         As for :func:`read_file`; no table of times or poses is larger than 256 MB.
     UnicodeDecodeError
     """
-    content = read_file(path, _MOST_TEXT)
-    is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # PowerShell's
-    text = content.decode("utf-16" if is_utf_16 else "utf-8-sig")
+    text = as_utf_8(read_file(path, _MOST_TEXT)).decode()
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def as_utf_8(content: bytes) -> bytes:
+    """The content of a text file in UTF-8 without a mark.
+
+    Raises
+    ------
+    UnicodeDecodeError
+        It has the mark of UTF-16 and is none.
+    """
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):  # PowerShell's
+        return content.decode("utf-16").encode()
+    return content.removeprefix(codecs.BOM_UTF8)
 
 
 def parse_yaml(text: str) -> Any:
@@ -191,7 +202,7 @@ def read_arrays(file: Path, names: Collection[str] | None = None) -> dict[str, N
                 entries = {e.filename.removesuffix(".npy"): e for e in archive.infolist()}
                 for name in entries if names is None else [n for n in names if n in entries]:
                     entry = entries[name]
-                    if entry.file_size > _MOST_PACKED * entry.compress_size:
+                    if entry.file_size > MOST_PACKED * entry.compress_size:
                         raise ArrayError(
                             f"{entry.compress_size} bytes cannot hold {entry.file_size}"
                         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
@@ -29,16 +30,15 @@ _LIDARS = {"up_lidar": (0, 32), "down_lidar": (32, 64)}
 
 _DOWNLOAD = "download the log again"
 _COLUMNS = ("x", "y", "z", "intensity", "laser_number", "offset_ns")
+_POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
+_INTRINSICS = ("fx_px", "fy_px", "cx_px", "cy_px", "width_px", "height_px")
 
 
 def read_sweep(
     file: Path, where: str, lasers: tuple[int, int], T_ego_sensor: NDArray[np.float64]
 ) -> Cloud:
     """The points of one of the two LiDARs, whose sweeps are in one file, in its frame."""
-    table = read_feather(file, where)
-    lacking = [name for name in _COLUMNS if name not in table]
-    if lacking:
-        raise DatasetError(f"{where} has no column {lacking[0]}; {_DOWNLOAD}")
+    table = read_feather(file, where, _COLUMNS)
     laser = table["laser_number"]
     kept = (laser >= lasers[0]) & (laser < lasers[1])
     cloud = cloud_from_fields(rows_of({name: table[name][kept] for name in _COLUMNS}), where)
@@ -71,8 +71,8 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
     return Recording("argoverse2", path, lidars, cameras, poses, settings)
 
 
-def read_feather(file: Path, where: str) -> dict[str, NDArray[Any]]:
-    """Columns of a Feather file by name."""
+def read_feather(file: Path, where: str, columns: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """These columns of a Feather file by name."""
     feather = extra("pyarrow.feather", "Feather files need pyarrow", "argoverse")
     pyarrow = import_module("pyarrow")
     if not file.is_file():
@@ -81,7 +81,9 @@ def read_feather(file: Path, where: str) -> dict[str, NDArray[Any]]:
         table = feather.read_table(file, memory_map=False)
     except (pyarrow.ArrowException, OSError) as error:
         raise DatasetError(f"{where} is no whole Feather file ({error}); {_DOWNLOAD}") from None
-    return {name: table[name].to_numpy() for name in table.column_names}
+    if lacking := [name for name in columns if name not in table.column_names]:
+        raise DatasetError(f"{where} has no column {lacking[0]}; {_DOWNLOAD}")
+    return {name: table[name].to_numpy() for name in columns}
 
 
 def _exact(T: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -91,7 +93,7 @@ def _exact(T: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _places(file: Path) -> dict[str, NDArray[np.float64]]:
     """``T_ego_sensor`` of each sensor."""
-    table = read_feather(file, str(file))
+    table = read_feather(file, str(file), ("sensor_name", *_POSE))
     found = {
         str(name): _pose(table, k, f"{file}, {name}") for k, name in enumerate(table["sensor_name"])
     }
@@ -102,13 +104,13 @@ def _places(file: Path) -> dict[str, NDArray[np.float64]]:
 
 
 def _pose(table: dict[str, NDArray[Any]], row: int, where: str) -> NDArray[np.float64]:
-    quaternion = (table[name][row] for name in ("qw", "qx", "qy", "qz"))
-    return pose_of(quaternion, (table[name][row] for name in ("tx_m", "ty_m", "tz_m")), where)
+    numbers = [table[name][row] for name in _POSE]
+    return pose_of(numbers[:4], numbers[4:], where)
 
 
 def _poses(file: Path, times: NDArray[np.int64], names: list[str]) -> NDArray[np.float64]:
     """``T_city_ego`` at each sweep."""
-    table = read_feather(file, str(file))
+    table = read_feather(file, str(file), ("timestamp_ns", *_POSE))
     row_of = {int(time): row for row, time in enumerate(table["timestamp_ns"])}
     for frame, time in enumerate(times.tolist()):
         if time not in row_of:
@@ -124,12 +126,12 @@ def _cameras(
 ) -> dict[str, CameraStream]:
     """Cameras with intrinsics; those without images fire with the sweeps."""
     file = path / "calibration" / "intrinsics.feather"
-    table = read_feather(file, str(file))
+    table = read_feather(file, str(file), ("sensor_name", *_INTRINSICS))
     cameras = {}
     for row, name in enumerate(str(name) for name in table["sensor_name"]):
         if name not in places:
             raise CalibrationError(f"{file}: {name} has no extrinsics; {_DOWNLOAD}")
-        fx, fy, cx, cy = (float(table[c][row]) for c in ("fx_px", "fy_px", "cx_px", "cy_px"))
+        fx, fy, cx, cy = (float(table[c][row]) for c in _INTRINSICS[:4])
         images = image_files(path / "sensors" / "cameras" / name)
         cameras[name] = CameraStream(
             name,

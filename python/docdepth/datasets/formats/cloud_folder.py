@@ -15,14 +15,7 @@ from pydantic import Field, field_validator
 
 from docdepth.datasets.base import CameraStream, ImageStream, LidarStream, Sweep
 from docdepth.datasets.cloud import FileLidar
-from docdepth.datasets.cloud_files import (
-    KITTI_COLUMNS,
-    READERS,
-    TEXTS,
-    RowFormat,
-    read_cloud,
-    read_viewpoint,
-)
+from docdepth.datasets.cloud_files import READERS, TEXTS, RowFormat, read_cloud, read_viewpoint
 from docdepth.datasets.files import FILE, files_of
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing, in_order
@@ -63,9 +56,9 @@ class FolderSettings(CameraRecordingSettings):
     sweeps: str | None = None  # folder of the sweeps
     times: str | None = None  # file with a line a sweep, or ``names``
     # sweeps a second, where there are no times. A number in the name of a file is that of its sweep
-    rate: float | None = Field(None, gt=0)
+    rate: float | None = Field(None, gt=0, le=1000)
     # values of a point in BIN, NPY and text files; ``_`` for those that mean nothing
-    columns: tuple[str, ...] = KITTI_COLUMNS
+    columns: tuple[str, ...] | None = None
     dtype: Literal["float32", "float64"] = "float32"  # of the values in BIN files
     frame: Literal["lidar", "world"] = "lidar"  # what the coordinates of the points are of
     labels: str = "labels"  # folder of labels
@@ -74,12 +67,12 @@ class FolderSettings(CameraRecordingSettings):
 
     @field_validator("columns")
     @classmethod
-    def _are_columns(cls, columns: tuple[str, ...]) -> tuple[str, ...]:
-        named = [name.lower() for name in columns if name != "_"]
+    def _are_columns(cls, columns: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        named = [name.lower() for name in ("xyz" if columns is None else columns) if name != "_"]
         if not {"x", "y", "z"} <= set(named) or len(set(named)) < len(named):
             raise ValueError(
                 "columns must name x, y and z, and each value of a point once, as in "
-                f"[x, y, z, intensity, _]; got [{', '.join(columns)}]"
+                f"[x, y, z, intensity, _]; got [{', '.join(columns or ())}]"
             )
         return columns
 
@@ -108,6 +101,8 @@ class CloudFolder(Recording):
         file = settings.file
         if settings.lidars and (settings.sweeps or settings.times):
             raise DatasetError(f"{file}: sweeps and times are of one LiDAR, lidars of several")
+        if settings.rate and settings.times:
+            raise DatasetError(f"{file}: times and rate both tell the times; leave one out")
         wanted = settings.lidars or {
             "lidar": FolderLidar(sweeps=settings.sweeps or ".", times=settings.times)
         }

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from docdepth.datasets.base import CameraStream, LidarStream
 from docdepth.datasets.cloud import Cloud, FileLidar, cloud_from_fields, rows_of
-from docdepth.datasets.files import Entry, PathInside, read_json
+from docdepth.datasets.files import Entry, PathInside, images_if_any, read_json
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing
 from docdepth.datasets.pose_tables import pose_of
@@ -198,10 +198,12 @@ def _data(path: Path, scene: _Scene, file: Path) -> Iterator[Datum]:
 def _nanoseconds(text: str, file: Path) -> int:
     """Time since 1970 of a date."""
     try:
-        date = datetime.datetime.fromisoformat(text.removesuffix("Z"))
+        date = datetime.datetime.fromisoformat(text.replace("Z", "+00:00"))
     except ValueError:
         raise DatasetError(f"{file}: {text!r} is no time; {_COPY}") from None
-    since = date - datetime.datetime(1970, 1, 1)
+    if date.tzinfo is None:
+        date = date.replace(tzinfo=datetime.timezone.utc)
+    since = date - datetime.datetime.fromtimestamp(0, datetime.timezone.utc)
     microseconds = (since.days * 86400 + since.seconds) * 10**6 + since.microseconds
     return microseconds * (_MICROSECOND // 10 if date.year > _LAST_YEAR else _MICROSECOND)
 
@@ -226,7 +228,7 @@ def _camera(
         inverse(calibration.place(name)) @ T_ego_lidar,
         _times(data, file),
         [image.stem for image in images],
-        images if images[0].is_file() else [],
+        images_if_any(images),
     )
 
 

@@ -16,9 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, LidarStream
-from docdepth.datasets.cloud import Cloud, FileLidar, packed
+from docdepth.datasets.cloud import Cloud, FileLidar, packed, rings
 from docdepth.datasets.cloud_files import MICROSECOND, read_stamped
-from docdepth.datasets.files import Entry, Microseconds, PathInside, one_of, read_json
+from docdepth.datasets.files import (
+    Entry,
+    Microseconds,
+    PathInside,
+    images_if_any,
+    one_of,
+    read_json,
+)
 from docdepth.datasets.format import Format
 from docdepth.datasets.kitti_files import check_increasing
 from docdepth.datasets.pose_tables import pose_of
@@ -107,7 +114,7 @@ class NuscenesSettings(RecordingSettings):
 def turned(rows: NDArray[Any], where: str) -> Cloud:
     """The points of a sweep, x ahead."""
     points = np.stack([rows["y"], -rows["x"], rows["z"]], axis=1)
-    return Cloud(points, rows["intensity"].copy(), rows["ring"].astype(np.uint16))
+    return Cloud(points, rows["intensity"].copy(), rings(rows["ring"]))
 
 
 def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
@@ -210,7 +217,7 @@ def _camera(
         inverse(_pose(place, tables, "calibrated_sensor")) @ T_ego_lidar,
         _times(rows, names, tables),
         names,
-        images if images[0].is_file() else [],
+        images_if_any(images),
     )
 
 

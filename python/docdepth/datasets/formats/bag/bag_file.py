@@ -182,7 +182,8 @@ def _open_reader(path: Path, files: list[Path]) -> Any:
             raise
         except Exception as error:
             problem = error
-    raise DatasetError(f"{path} cannot be opened ({problem}); {_MEND}") from problem
+    remedy = _MEND if "Profile" not in str(problem) else "docdepth reads MCAP of ROS 2 alone"
+    raise DatasetError(f"{path} cannot be opened ({problem}); {remedy}") from problem
 
 
 def _limit_chunks() -> None:

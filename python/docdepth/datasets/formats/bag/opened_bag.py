@@ -19,6 +19,7 @@ from docdepth.errors import DatasetError
 
 log = logging.getLogger(__name__)
 
+_LONG_AGO = 10**18  # ns since 1970: the year 2001
 _LATEST = 10**9  # ns; so much later than another a message hardly arrives
 
 
@@ -67,10 +68,12 @@ class OpenedBag:
         messages, file = self.index[topic], self.settings.file
         if self.settings.stamps == "record":
             return list(messages), self._distinct([m.recorded for m in messages], topic)
-        if messages and not any(m.stamp for m in messages):
+        none = sum(m.stamp == 0 for m in messages)
+        # A simulation may begin at 0.
+        if none == len(messages) or (none and max(m.stamp for m in messages) > _LONG_AGO):
             raise DatasetError(
-                f"{self.path}, {topic}: headers have no stamps; say stamps: record in {file} to "
-                "take the times of recording"
+                f"{self.path}, {topic}: {none} of {len(messages)} headers have no stamps; say "
+                f"stamps: record in {file} to take the times of recording"
             )
         stamps = np.array([m.stamp for m in messages], np.int64)
         steps, early = np.diff(stamps), stamps < np.maximum.accumulate(stamps)

@@ -127,7 +127,8 @@ def camera_of(
         name = ""
     if name not in _MODELS:
         raise CalibrationError(
-            f"{where}: distortion model {name!r} is unknown; there are {', '.join(_MODELS)}"
+            f"{where}: distortion model {name!r} is unknown; there are "
+            f"{', '.join(filter(None, _MODELS))}"
         )
     camera, model = _camera(info, K, size, where), _MODELS[name]
     whole = np.array((info.width, info.height) if info.width and info.height else size)

@@ -83,8 +83,9 @@ def _read_point_cloud(message: Any, where: str) -> Cloud:
     width, height = message.width, message.height
     if not width or not height or not message.point_step:
         raise DatasetError(f"{where} holds no points; record it again")
-    step = message.row_step if height > 1 else width * message.point_step
-    data = np.asarray(message.data, np.uint8)
+    data, dense = np.asarray(message.data, np.uint8), width * message.point_step
+    # Drivers get row_step wrong where it does not matter.
+    step = dense if height == 1 or len(data) == height * dense else message.row_step
     if step < width * message.point_step or len(data) < height * step:
         raise DatasetError(
             f"{where} has {len(data)} bytes for {height} rows of {width} points of "

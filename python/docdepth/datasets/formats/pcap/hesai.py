@@ -13,11 +13,15 @@ from numpy.typing import NDArray
 from docdepth.datasets.cloud import Cloud
 from docdepth.datasets.files import read_lines
 from docdepth.datasets.format import Format
-from docdepth.datasets.formats.pcap.packet_capture import PacketCapture, Packets, recording_of
+from docdepth.datasets.formats.pcap.packet_capture import (
+    PacketCapture,
+    Packets,
+    begins_with,
+    recording_of,
+)
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.errors import DatasetError
-from docdepth.io.untrusted import open_file
 
 LASERS = 32
 DESIGNED = np.stack([15.0 - np.arange(LASERS), np.zeros(LASERS)], axis=1)
@@ -54,7 +58,6 @@ _PACKET = np.dtype(
 _MAGIC = b"\xee\xff"
 _BEGINNING = re.compile(rb"\xee\xff\x06...\x20\x08", re.DOTALL)  # of a packet
 _KIND = Packets("Hesai", _PACKET.itemsize, 12)
-_HEAD = 1 << 16  # bytes of a capture that show whose it is
 
 # Nanoseconds: between firings, of the last one after the time of its packet, and between lasers.
 _FIRING, _LAST, _LASER = 50_000, 5_632 + 368, 1_512
@@ -165,9 +168,7 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
 def _recognises(path: Path) -> bool:
     if path.suffix.lower() != ".pcap" or not path.is_file():
         return False
-    with open_file(path) as stream:
-        head = stream.read(_HEAD)
-    return _BEGINNING.search(head) is not None
+    return begins_with(path, _BEGINNING)
 
 
 FORMAT = Format("hesai", "a capture .pcap of a Hesai PandarXT-32", _recognises, _open)

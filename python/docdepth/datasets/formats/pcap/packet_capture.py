@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -25,6 +26,7 @@ log = logging.getLogger(__name__)
 _LITTLE_ENDIAN = (b"\xd4\xc3\xb2\xa1", b"\x4d\x3c\xb2\xa1")  # begin of a capture
 _RAW = 101  # link type of IP alone, which BSD numbers otherwise
 _HEADER = 16  # bytes before each packet: seconds, fraction, bytes that are kept, bytes sent
+_HEAD = 1 << 16  # bytes of a capture that show whose it is
 _TURN = 36000  # hundredths of a degree
 _WHOLE = 0.5  # of the usual number of packets; shorter sweeps at the ends were cut off
 
@@ -92,6 +94,12 @@ class PacketCapture:
         return [self.path]
 
 
+def begins_with(path: Path, packet: re.Pattern[bytes]) -> bool:
+    """Whether a capture holds such a packet near its beginning."""
+    with open_file(path) as stream:
+        return packet.search(stream.read(_HEAD)) is not None
+
+
 def recording_of(capture: PacketCapture, settings: RecordingSettings) -> Recording:
     """A capture with the poses and options that its ``docdepth.yaml`` tells."""
     stream = capture.stream
@@ -113,7 +121,7 @@ def _scan(
     if len(sources) > 1:
         raise DatasetError(
             f"{path} holds packets of {len(sources)} LiDARs; keep those of one, for example by "
-            "tcpdump -r IN -w OUT src host ADDRESS"
+            "tcpdump -r IN -w OUT src host ADDRESS, or port PORT"
         )
     arrived, offsets, azimuths, _ = zip(*found, strict=True)
     return np.array(arrived, np.int64), np.array(offsets, np.int64), np.array(azimuths, np.uint16)
@@ -162,7 +170,7 @@ def _warn_of_end(path: Path, begin: int) -> None:
 
 
 def _payload(frame: bytes, datalink: int) -> tuple[bytes, bytes]:
-    """Sender and payload of a frame."""
+    """Sender, with its ports, and payload of a frame."""
     import dpkt
 
     pcap = dpkt.pcap
@@ -176,7 +184,10 @@ def _payload(frame: bytes, datalink: int) -> tuple[bytes, bytes]:
     layer: object = layers.get(datalink, dpkt.ethernet.Ethernet)(frame)
     sender = b""
     while hasattr(layer, "data"):
-        sender = getattr(layer, "src", sender) if isinstance(layer, dpkt.ip.IP) else sender
+        if isinstance(layer, dpkt.ip.IP):
+            sender += layer.src
+        elif isinstance(layer, dpkt.udp.UDP):  # of several LiDARs behind one address
+            sender += b"%d %d" % (layer.sport, layer.dport)
         layer = layer.data
     assert isinstance(layer, bytes)
     return sender, layer

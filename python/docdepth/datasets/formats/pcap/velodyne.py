@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from functools import lru_cache, partial
 from pathlib import Path
@@ -10,14 +11,20 @@ from typing import Any
 import numpy as np
 
 from docdepth.datasets.cloud import Cloud, cloud_from_fields
-from docdepth.datasets.files import extra
+from docdepth.datasets.files import extra, files_of
 from docdepth.datasets.format import Format
-from docdepth.datasets.formats.pcap.packet_capture import PacketCapture, Packets, recording_of
+from docdepth.datasets.formats.pcap.packet_capture import (
+    PacketCapture,
+    Packets,
+    begins_with,
+    recording_of,
+)
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.errors import DatasetError
 
 _KIND = Packets("Velodyne", 1206, 2)
+_BLOCKS = re.compile(rb"(?:\xff[\xee\xdd].{98}){12}", re.DOTALL)  # of a packet
 
 
 def decode_packets(
@@ -73,7 +80,10 @@ def _open(path: Path, image_size: tuple[int, int] | None) -> Recording:
 
 
 def _recognises(path: Path) -> bool:
-    return path.suffix.lower() == ".pcap" and path.is_file()
+    """A capture whose packets look like Velodyne's, or that is nobody else's."""
+    if path.suffix.lower() != ".pcap" or not path.is_file():
+        return False
+    return begins_with(path, _BLOCKS) or not files_of(path.parent, ".json")
 
 
 FORMAT = Format("velodyne", "a Velodyne capture .pcap", _recognises, _open)
