@@ -86,7 +86,7 @@ def test_interrupted_run_goes_on_and_ends_the_same(drive, finished, tmp_path, mo
 
     for module, name, count in (
         (sweep_store, "write_classified", 3),
-        (depth_files, "encode_jpeg", 2),
+        (depth_files, "encode_image", 2),
     ):
         written.clear()
         with monkeypatch.context() as patch:

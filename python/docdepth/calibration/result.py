@@ -21,6 +21,7 @@ from docdepth.geometry.camera import Camera
 from docdepth.geometry.se3 import transform_points
 from docdepth.io.atomic import write_output
 from docdepth.io.calibration import write_calibration
+from docdepth.io.images import encode_image
 from docdepth.visualization.pictures import Picture, overlay, spread_depth
 
 
@@ -92,8 +93,7 @@ def write_result(
     for done, pair in enumerate(pairs, 1):
         if pair.image is not None:
             picture = points_on_image(read_image_of(pair.image), board, pair, found.solution)
-            encoded = cv2.imencode(".jpg", picture)[1].tobytes()
-            write_output(folder / f"{pair.name}.jpg", encoded)
+            write_output(folder / f"{pair.name}.jpg", encode_image(picture, ".jpg"))
         progress("pictures", done, len(pairs))
 
 

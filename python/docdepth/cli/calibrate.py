@@ -20,9 +20,9 @@ from docdepth.evaluation.time_offset import image_times, time_offset
 from docdepth.geometry.se3 import inverse
 from docdepth.io.atomic import write_output
 from docdepth.io.calibration import INTRINSICS, write_calibration
+from docdepth.io.images import PICTURE, encode_image
 from docdepth.io.inputs import RunInputs
 from docdepth.io.run_folder import RunFolder
-from docdepth.pipeline.depth_files import encode_jpeg
 
 if TYPE_CHECKING:  # it needs an extra
     from docdepth.calibration.calibrate import Calibration
@@ -176,7 +176,7 @@ def _fit_cameras(run: Path, camera: str | None, output: Path | None, as_json: bo
         if output is not None:
             place = output / stream.name if len(names) > 1 else output
             picture = place / f"{found.check.worst}.jpg"
-            write_output(picture, encode_jpeg(found.check.picture))
+            write_output(picture, encode_image(found.check.picture, ".jpg", *PICTURE))
             lines.append(f"{picture}: depth edges as they are red, where they fit green")
             if found.is_changed:
                 more: dict[str, object] = {"fit": found.figures["fit"]}

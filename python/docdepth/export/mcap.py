@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -14,6 +13,7 @@ from docdepth.datasets.files import extra
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.se3 import inverse, matrix_to_quaternion
 from docdepth.geometry.track import Track
+from docdepth.io.images import encode_image
 from docdepth.pipeline.run_reader import Run, RunImage
 
 _WORLD, _LIDAR = "world", "lidar"
@@ -137,7 +137,7 @@ class _Bag:
         pixels = {"encoding": "32FC1", "step": depth.strides[0], "data": depth.view(np.uint8)}
         self._write(f"{name}/depth", time, "sensor_msgs/msg/Image", size | pixels)
         if photo is not None:
-            data = cv2.imencode(".png", np.ascontiguousarray(photo[..., ::-1]))[1]
+            data = np.frombuffer(encode_image(photo[..., ::-1], ".png"), np.uint8)
             png: dict[str, object] = {"header": header, "format": "png", "data": data}
             self._write(f"{name}/image/compressed", time, "sensor_msgs/msg/CompressedImage", png)
 

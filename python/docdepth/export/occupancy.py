@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import json
 from pathlib import Path
 
 import numpy as np
 
 from docdepth.concurrency import Progress, null_progress
-from docdepth.io.atomic import write_atomically
+from docdepth.io.atomic import npz_bytes, write_atomically
 from docdepth.pipeline.run_reader import Run
 from docdepth.render.occupancy import CORNER, DYNAMIC, FREE, GROUND, SIZE, STATIC, VOXEL
 
@@ -24,16 +23,16 @@ def write_occupancy(run: Run, output: Path, progress: Progress = null_progress) 
     """
     frames = {}
     for k in range(len(run.sweeps)):
-        found, stream, name = run.occupancy(k), io.BytesIO(), f"{k:06d}"
-        np.savez_compressed(
-            stream,
+        found, name = run.occupancy(k), f"{k:06d}"
+        content = npz_bytes(
+            compressed=True,
             semantics=found.semantics,
             mask_lidar=found.mask_lidar.astype(np.uint8),
             mask_camera=found.mask_camera.astype(np.uint8),
             instance=found.instance,
             flow=found.flow,
         )
-        write_atomically(output / name / "labels.npz", stream.getvalue())
+        write_atomically(output / name / "labels.npz", content)
         frames[name] = {"time": found.time, "T_world_grid": found.T_world_grid.tolist()}
         progress("convert", k + 1, len(run.sweeps))
     grid = {"voxel": VOXEL, "size": SIZE, "corner": CORNER}

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +18,7 @@ from docdepth.errors import RunError
 from docdepth.geometry.camera import pixels_in_image
 from docdepth.geometry.se3 import inverse, matrix_to_quaternion, transform_points
 from docdepth.io.atomic import write_atomically
+from docdepth.io.images import encode_image
 from docdepth.io.ply import write_vertices
 from docdepth.pipeline.run_reader import Run, RunImage
 
@@ -59,7 +59,7 @@ def photos(run: Run, progress: Progress) -> Iterator[Photo]:
 def write_image(path: Path, pixels: NDArray[np.uint8]) -> None:
     """Write RGB (h, w, 3) or grey (h, w) as PNG."""
     stored = pixels[..., ::-1] if pixels.ndim == 3 else pixels
-    write_atomically(path, cv2.imencode(".png", np.ascontiguousarray(stored))[1].tobytes())
+    write_atomically(path, encode_image(stored, ".png"))
 
 
 class Colors:

@@ -15,8 +15,15 @@ from numpy.typing import NDArray
 
 from docdepth.errors import DamagedFileError, DatasetError, InputError
 from docdepth.geometry.points import unmasked
-from docdepth.io.atomic import write_atomically
-from docdepth.io.images import decode_image, encode_exr, encode_png, import_exr, read_exr
+from docdepth.io.atomic import npz_bytes, write_atomically
+from docdepth.io.images import (
+    decode_image,
+    encode_exr,
+    encode_image,
+    encode_png,
+    import_exr,
+    read_exr,
+)
 from docdepth.io.untrusted import (
     ArrayError,
     parse_json,
@@ -72,14 +79,13 @@ def encode_depth(
     if format in ("exr", "exr-half"):
         return encode_exr(depth, np.dtype(np.float16 if format == "exr-half" else np.float32))
     if format == "tiff":
-        return bytes(cv2.imencode(".tiff", depth)[1].tobytes())
-    stream = io.BytesIO()
-    if format == "npy":
-        np.save(stream, depth)
-    elif format == "npz":
-        np.savez_compressed(stream, depth=depth)
-    else:
+        return encode_image(depth, ".tiff")
+    if format == "npz":
+        return npz_bytes(compressed=True, depth=depth)
+    if format != "npy":
         raise InputError(f"unknown depth format {format!r}; there are {', '.join(FORMATS)}")
+    stream = io.BytesIO()
+    np.save(stream, depth)
     return stream.getvalue()
 
 

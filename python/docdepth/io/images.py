@@ -101,6 +101,15 @@ def _size_of_jpeg(content: bytes) -> tuple[int, int] | None:
     return None
 
 
+def encode_image(image: NDArray[Any], suffix: str, *how: int) -> bytes:
+    """An image (BGR or grey) as the content of a file of this kind; ``how`` is as for OpenCV."""
+    return bytes(cv2.imencode(suffix, np.ascontiguousarray(image), how)[1].tobytes())
+
+
+PICTURE = (cv2.IMWRITE_JPEG_QUALITY, 90)
+"""How pictures of a run are encoded as JPEG."""
+
+
 def encode_png(pixels: NDArray[np.uint16]) -> bytes:
     """A grey image as the content of a PNG.
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +23,7 @@ from docdepth.io.atomic import npz_bytes
 from docdepth.io.calibration import EXTRINSICS, INTRINSICS, write_calibration
 from docdepth.io.depth import DESCRIPTION, FORMATS, as_stored, encode_depth, read_depth
 from docdepth.io.frames import write_trajectory
+from docdepth.io.images import PICTURE, encode_image
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import KITTI_TRACKS, write_kitti_tracking
 from docdepth.render.depth_map import NEAR
@@ -162,7 +162,7 @@ class DepthFiles:
             if what == "report":
                 with suggest_skipping():
                     image = self.stream.rectified_image(index)
-                content = encode_jpeg(overlay(depth, image))
+                content = encode_image(overlay(depth, image), ".jpg", *PICTURE)
             elif what == "layers":
                 content = npz_bytes(compressed=True, **layers)
             else:
@@ -208,11 +208,6 @@ class DepthFiles:
 
 def _share_with_depth(depth: NDArray[np.float32]) -> float:
     return float(np.isfinite(depth).mean())
-
-
-def encode_jpeg(image: NDArray[np.uint8]) -> bytes:
-    """The content of a JPEG file with this image."""
-    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes()
 
 
 def find_empty_maps(coverage: Sequence[float], camera: str) -> list[Finding]:

@@ -10,7 +10,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +23,7 @@ from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import described_maps, maps_in, read_depth
+from docdepth.io.images import encode_image
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.io.untrusted import read_layers
@@ -273,7 +273,7 @@ class RunImage:
         """What a notebook shows: the depth over the photo."""
         image = self.image
         photo = None if image is None else np.ascontiguousarray(image[..., ::-1])
-        return bytes(cv2.imencode(".jpg", overlay(self.depth, photo))[1].tobytes())
+        return encode_image(overlay(self.depth, photo), ".jpg")
 
     @property
     def camera(self) -> Camera:

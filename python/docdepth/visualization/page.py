@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from docdepth.errors import DatasetError
 from docdepth.io.atomic import move_aside, write_atomically
+from docdepth.io.images import encode_image
 from docdepth.io.untrusted import read_file
 from docdepth.visualization.pictures import FAR, NEAR, Picture, colorize
 
@@ -139,8 +140,7 @@ def embedded(picture: Picture, most: int | None = None) -> str:
     """
     while True:
         for quality in _QUALITIES:
-            how = [cv2.IMWRITE_JPEG_QUALITY, quality, *_SAMPLING]
-            content = cv2.imencode(".jpg", picture, how)[1].tobytes()
+            content = encode_image(picture, ".jpg", cv2.IMWRITE_JPEG_QUALITY, quality, *_SAMPLING)
             if most is None or len(content) <= most or max(picture.shape[:2]) < 2:
                 return "data:image/jpeg;base64," + base64.b64encode(content).decode()
         half = (max(picture.shape[1] // 2, 1), max(picture.shape[0] // 2, 1))
@@ -157,9 +157,7 @@ def embedded_depth(depth: NDArray[np.float32], most: int) -> str:
     cm = np.nan_to_num(depth[::step, ::step] * 100).round().clip(0, 65535).astype(np.uint16)
     low = (cm & 255).astype(np.uint8)
     bgr = np.stack([np.zeros_like(low), low, (cm >> 8).astype(np.uint8)], axis=2)
-    return (
-        "data:image/png;base64," + base64.b64encode(cv2.imencode(".png", bgr)[1].tobytes()).decode()
-    )
+    return "data:image/png;base64," + base64.b64encode(encode_image(bgr, ".png")).decode()
 
 
 def css(color: Sequence[int]) -> str:

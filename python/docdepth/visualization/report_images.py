@@ -68,7 +68,8 @@ def camera_pages(
             photo = photo_of(streams.get(camera), name)
             pictures = _pictures(run, entry.folder, name, maps[name][0], photo, tracks)
             pictures["depth"] = colorize(depth, bar=False)
-            views = {view: embedded(_reduced(p), most) for view, p in pictures.items()}
+            scale = (_LARGEST / depth.size) ** 0.5
+            views = {v: embedded(reduced(p, scale), most) for v, p in pictures.items()}
             images.append(image._replace(views=views, values=embedded_depth(depth, _VALUES)))
             if is_below.any():
                 shares.append(np.isfinite(depth[is_below]).mean())
@@ -103,7 +104,3 @@ def _pictures(
         pictures["class"] = view_of_points(points, classid, camera, photo)
     draw_tracks(pictures["class"], tracks, view)
     return pictures if photo is None else pictures | {"image": photo}
-
-
-def _reduced(picture: Picture) -> Picture:
-    return reduced(picture, (_LARGEST / (picture.shape[0] * picture.shape[1])) ** 0.5)
