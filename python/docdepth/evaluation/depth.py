@@ -26,9 +26,9 @@ from docdepth.evaluation.pixels import (
     cloud_distance,
     edge_distance,
     fill_background,
-    points_of,
 )
 from docdepth.evaluation.tables import Band, Figures, Table, number, percent, ratio
+from docdepth.geometry.camera import points_of
 
 Mode = Literal["valid", "kitti"]
 

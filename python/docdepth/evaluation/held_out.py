@@ -21,9 +21,9 @@ from docdepth.errors import InputError
 from docdepth.evaluation.depth import ERRORS
 from docdepth.evaluation.depth_metrics import RANGE_BINS, PixelSums, RegionErrors
 from docdepth.evaluation.left_out import LeftOut, Neighbour
-from docdepth.evaluation.pixels import cloud_distance, points_of, project
+from docdepth.evaluation.pixels import cloud_distance, project
 from docdepth.evaluation.tables import Band, Figures, Table, number, plain, ratio
-from docdepth.geometry.camera import View
+from docdepth.geometry.camera import View, points_of
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.trajectory import Trajectory

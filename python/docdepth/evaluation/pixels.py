@@ -108,30 +108,6 @@ def edge_distance(depth: Depth) -> NDArray[np.float32]:
     return np.asarray(cv2.distanceTransform((~edges).astype(np.uint8), cv2.DIST_C, 3), np.float32)
 
 
-def points_of(K: NDArray[np.float64], depth: Depth, pixels: NDArray[np.int64]) -> Points:
-    """The points that depth gives some pixels.
-
-    Parameters
-    ----------
-    K : ndarray of float64, shape (3, 3)
-        Camera matrix.
-    depth : ndarray of float32, shape (h, w)
-        Along the optical axis [m].
-    pixels : ndarray of int64, shape (k,)
-        Of the flattened image.
-
-    Returns
-    -------
-    ndarray of float64, shape (k, 3)
-        Camera frame [m].
-    """
-    v, u = np.divmod(pixels, depth.shape[1])
-    z = depth.ravel()[pixels].astype(np.float64)
-    y = (v - K[1, 2]) / K[1, 1]
-    x = (u - K[0, 2] - K[0, 1] * y) / K[0, 0]
-    return np.column_stack([x * z, y * z, z])
-
-
 _QUERIES = 50_000
 """Points of a cloud that look for their neighbour in the other, evenly chosen: thousands tell the
 mean, and a dense image has half a million."""

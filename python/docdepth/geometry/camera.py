@@ -146,6 +146,26 @@ def pixels_in_image(
     return rows[inside], u, v
 
 
+def points_of(
+    K: NDArray[np.float64], depth: NDArray[np.float32], pixels: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """The points that depth gives some pixels, (k, 3) in the frame of the camera [m].
+
+    Parameters
+    ----------
+    K : ndarray of float64, shape (3, 3)
+    depth : ndarray of float32, shape (h, w)
+        Along the optical axis [m].
+    pixels : ndarray of int64, shape (k,)
+        Of the flattened image.
+    """
+    v, u = np.divmod(pixels, depth.shape[1])
+    z = depth.ravel()[pixels].astype(np.float64)
+    y = (v - K[1, 2]) / K[1, 1]
+    x = (u - K[0, 2] - K[0, 1] * y) / K[0, 0]
+    return np.column_stack([x * z, y * z, z])
+
+
 def below_horizon(camera: Camera, T_camera_lidar: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Pixels whose ray leads down in the frame of the LiDAR, whose z is up, (h, w).
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream
 from docdepth.errors import InputError
-from docdepth.geometry.camera import Camera
+from docdepth.geometry.camera import Camera, points_of
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.points import DYNAMIC
 from docdepth.geometry.se3 import inverse, transform_points
@@ -143,10 +143,7 @@ def back_project(camera: Camera, depth: NDArray[np.float32]) -> NDArray[np.float
         raise InputError(
             f"depth {depth.shape} does not fit the camera, {camera.height} x {camera.width}"
         )
-    v, u = np.nonzero(np.isfinite(depth))
-    z = depth[v, u].astype(np.float64)
-    fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]]
-    return np.column_stack([(u - cx) / fx * z, (v - cy) / fy * z, z])
+    return points_of(camera.K, depth, np.flatnonzero(np.isfinite(depth)))
 
 
 def point_colors(
