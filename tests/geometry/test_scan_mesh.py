@@ -285,3 +285,18 @@ def test_real_sweep_is_covered() -> None:
     assert len(mesh.triangles) > 1.9 * len(points)
     assert len(mesh.isolated) < 0.04 * len(points)
     assert mesh.discontinuity.mean() < 0.2
+
+
+def test_millions_of_returns_from_a_few_directions():
+    """Steps from a return to itself looked like steps along thousands of rings, which crossed."""
+    rng = np.random.default_rng(3)
+    elevation = np.radians(0.4 * rng.integers(0, 64, 20_000) - 20)
+    azimuth = rng.uniform(-np.pi, np.pi, len(elevation))
+    level = 10 * np.cos(elevation)
+    rays = [level * np.cos(azimuth), level * np.sin(azimuth), 10 * np.sin(elevation)]
+    points = np.stack(rays, axis=1).astype(np.float32)
+    alone = {tuple(sorted(t)) for t in ScanMesh(points).triangles.tolist()}
+    triangles = ScanMesh(np.repeat(points, 100, axis=0)).triangles // 100
+    repeated = {tuple(sorted(t)) for t in triangles.tolist()}
+    assert repeated <= alone
+    assert len(repeated) > 0.99 * len(alone), "but for slivers of the border"

@@ -79,6 +79,7 @@ class ChainMaker {
   Chains chains_;
   std::uint32_t guard_;  // number of the next one
   std::int32_t low_ = kTurn, high_ = -kTurn, height_, guard_distance_;
+  std::int32_t last_ = -kTurn;  // elevation of the guards of the last ring
 };
 
 ChainMaker::ChainMaker(const std::vector<Direction>& directions,
@@ -105,7 +106,7 @@ ChainMaker::ChainMaker(const std::vector<Direction>& directions,
     add_rings(rings);
   else
     add_strips();
-  add_guard_row(high_ + guard_distance_);
+  add_guard_row(std::max(high_, last_) + guard_distance_);
   begin_chain();
 }
 
@@ -150,7 +151,7 @@ void ChainMaker::add_strips() {
 
 /// A chain for each ring. Most returns are in order already: only those of equal azimuth are not.
 void ChainMaker::add_rings(const ScanRings& rings) {
-  std::int32_t last = low_ - guard_distance_;
+  last_ = low_ - guard_distance_;
   auto& vertices = chains_.vertices;
   for (std::size_t r = 0; r < rings.count(); ++r) {
     const std::uint32_t *first = &rings.returns[rings.begin[r]],
@@ -159,9 +160,9 @@ void ChainMaker::add_rings(const ScanRings& rings) {
     for (const auto* n = first; n != end; ++n) sum += directions_[*n].elevation;
     // Guards of chains are in order like the chains, and below the last.
     const auto mean = static_cast<std::int32_t>(sum / (end - first));
-    last = std::max(last + 1, mean);
+    last_ = std::max(last_ + 1, mean);
     begin_chain();
-    add_guard(-kGuardAzimuth, last);
+    add_guard(-kGuardAzimuth, last_);
     const auto add = [&](std::uint32_t n, std::int32_t shift) {
       const Vertex v = {directions_[n].azimuth + shift, directions_[n].elevation, n};
       std::size_t place = vertices.size();
@@ -180,7 +181,7 @@ void ChainMaker::add_rings(const ScanRings& rings) {
       if (directions_[*n].azimuth >= -kTurn / 2 + kSeamOverlap) break;
       add(*n, kTurn);
     }
-    add_guard(kGuardAzimuth, last);
+    add_guard(kGuardAzimuth, last_);
   }
 }
 

@@ -13,6 +13,8 @@ using Numbers = std::vector<std::uint32_t>;
 
 /// Fewer rings need no grid, and fewer returns to a ring show none.
 constexpr std::size_t kFewestRings = 4, kFewestReturns = 100;
+/// No LiDAR has more lasers.
+constexpr std::size_t kMostRings = 1024;
 
 /// A step along a ring [units]: at most ten degrees on or, from a near thing to a far one that the
 /// vehicle saw from elsewhere, back; elevation changes by at most 0.3 degrees. So many of the steps
@@ -41,17 +43,19 @@ std::int32_t turned(const Direction& from, const Direction& to) {
 
 /// Ring of each of the numbers, if rows come ring by ring; else nothing.
 Numbers rings_by_turns(const std::vector<Direction>& directions, const Numbers& numbers) {
-  std::size_t level = 0, ups = 0, downs = 0;
+  std::size_t level = 0, ups = 0, downs = 0, moves = 0;
   std::array<std::int32_t, kSectors> climbs = {};  // change of elevation in each sector
   for (std::size_t k = 1; k < numbers.size(); ++k) {
     const Direction &from = directions[numbers[k - 1]], &to = directions[numbers[k]];
     const std::int32_t step = turned(from, to), climb = to.elevation - from.elevation;
+    if (step == 0 && climb == 0) continue;  // one return told twice shows no ring
+    ++moves;
     level += std::abs(climb) <= kLevel;
     ups += step >= 0 && step <= kStep;
     downs += step <= 0 && step >= -kStep;
     climbs[(to.azimuth + kTurn / 2) / kSector] += climb;
   }
-  const double steps = kAlongRings * static_cast<double>(numbers.size() - 1);
+  const double steps = kAlongRings * static_cast<double>(moves);
   if (static_cast<double>(std::min(level, std::max(ups, downs))) < steps) return {};
   // All rings begin in one sector: there elevation changes from that of the first to the last.
   const auto most = std::max_element(climbs.begin(), climbs.end(),
@@ -213,7 +217,7 @@ ScanRings find_rings(const std::vector<Direction>& directions, const Numbers& nu
   };
   const auto are_rings = [&](const Numbers& rings) {
     const std::size_t count = count_of(rings);
-    return count >= kFewestRings && count * kFewestReturns <= numbers.size();
+    return count >= kFewestRings && count <= kMostRings && count * kFewestReturns <= numbers.size();
   };
   Numbers rings = rings_by_turns(directions, numbers);
   if (!are_rings(rings)) rings = rings_by_elevation(directions, numbers);
