@@ -163,3 +163,16 @@ def test_its_beams_are_wide_unless_a_recording_says_otherwise(tmp_path, short, s
     run = RunFolder(tmp_path / "run")
     run.write_sensors(rig, {})
     assert read_sensors(run.sensors_path, rig.index).beam_width == rig.beam_width
+
+
+def test_points_of_another_format_that_are_raised_are_told(tmp_path, short, caplog):
+    shutil.copytree(short / "velodyne", tmp_path / "sweeps")
+    told = tmp_path / "docdepth.yaml"
+    told.write_text("sweeps: sweeps\nrate: 10\n")
+    raised = open_dataset(tmp_path).sweep(0).points
+    assert "lacks 0.205 degrees; they are raised by it" in caplog.text
+    caplog.clear()
+    told.write_text("sweeps: sweeps\nrate: 10\nsensor_origin: [0, 0, 0]\n")
+    as_given = open_dataset(tmp_path).sweep(0).points
+    assert "raised" not in caplog.text
+    np.testing.assert_allclose(raised, kitti_lidar.raised(as_given, np.radians(0.205)), atol=1e-4)

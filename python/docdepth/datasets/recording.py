@@ -28,7 +28,7 @@ from docdepth.datasets.point_times import (
 from docdepth.datasets.resampled import ResampledLidar, resample
 from docdepth.datasets.settings import RecordingSettings
 from docdepth.datasets.views import without_ego
-from docdepth.errors import DatasetError, DocDepthError
+from docdepth.errors import NOTE, DatasetError, DocDepthError
 from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.se3 import inverse, transform_points
@@ -266,6 +266,14 @@ class Recording(DatasetRepr):
             points = {k: self._in_lidar_frame(cloud, k) for k, cloud in clouds.items()}
             if not number and self._settings.sensor_origin is None:
                 self._is_kitti_lidar = kitti_lidar.is_kitti_lidar(points.values())
+            if not number and self.elevation_error and "kitti" not in self.name:
+                log.log(
+                    NOTE,
+                    "%s: points lie on the lasers of KITTI's LiDAR, whose calibration lacks %.3f "
+                    "degrees; they are raised by it. If the LiDAR was simulated, say "
+                    "sensor_origin: [0, 0, 0] in docdepth.yaml",
+                    self.path, np.degrees(self.elevation_error),
+                )  # fmt: skip
             samples = [
                 TimeSample(cloud.times, usable_points(points[k]), int(stamps[k]))
                 for k, cloud in clouds.items()
