@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from docdepth.config import parameters
 from docdepth.datasets import kitti_lidar, open_dataset
 from docdepth.datasets.sensor_pose import ground_of
+from docdepth.errors import NOTE
 from docdepth.evaluation.runs import evaluate_depth
 from docdepth.geometry.se3 import transform_points
 from docdepth.io.frames import read_sensors
@@ -167,6 +168,7 @@ def test_its_beams_are_wide_unless_a_recording_says_otherwise(tmp_path, short, s
 
 def test_points_of_another_format_that_are_raised_are_told(tmp_path, short, caplog):
     shutil.copytree(short / "velodyne", tmp_path / "sweeps")
+    caplog.set_level(NOTE)
     told = tmp_path / "docdepth.yaml"
     told.write_text("sweeps: sweeps\nrate: 10\n")
     raised = open_dataset(tmp_path).sweep(0).points
