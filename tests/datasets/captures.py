@@ -142,7 +142,7 @@ def write_capture(
     with path.open("ab" if path.is_file() else "wb") as stream:
         writer = dpkt.pcap.Writer(stream, nano=True)
         for time, data in packets:
-            udp = dpkt.udp.UDP(sport=port, dport=port, data=data, ulen=8 + len(data))
+            udp = dpkt.udp.UDP(sport=time % 50_000, dport=port, data=data, ulen=8 + len(data))
             ip = dpkt.ip.IP(src=socket.inet_aton(sender), dst=b"\xff" * 4, p=17, data=udp)
             ip.len = len(ip)
             ethernet = dpkt.ethernet.Ethernet(src=b"\1" * 6, dst=b"\xff" * 6, data=ip)

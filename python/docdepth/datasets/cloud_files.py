@@ -184,8 +184,12 @@ def _read_las(file: Path, where: str, rows: RowFormat) -> Cloud:
                 f"{where} tells of {header.point_count} points, for which it has too few bytes; "
                 "copy it again"
             )
-        if not all(0 < scale < np.inf for scale in header.scales):
-            raise DatasetError(f"{where}: its scales are {header.scales.tolist()}; write it again")
+        scales, offsets = header.scales, header.offsets
+        if not ((scales > 0) & np.isfinite(scales + offsets)).all():
+            raise DatasetError(
+                f"{where}: its scales are {scales.tolist()}, its offsets {offsets.tolist()}; write "
+                "it again"
+            )
         las = reader.read()
     columns: dict[str, NDArray[Any]] = {axis: np.asarray(las[axis], "f8") for axis in "xyz"}
     columns["intensity"] = np.asarray(las.intensity, "f4")

@@ -170,7 +170,7 @@ def _warn_of_end(path: Path, begin: int) -> None:
 
 
 def _payload(frame: bytes, datalink: int) -> tuple[bytes, bytes]:
-    """Sender, with its ports, and payload of a frame."""
+    """Sender, with the port to which it sends, and payload of a frame."""
     import dpkt
 
     pcap = dpkt.pcap
@@ -187,7 +187,7 @@ def _payload(frame: bytes, datalink: int) -> tuple[bytes, bytes]:
         if isinstance(layer, dpkt.ip.IP):
             sender += layer.src
         elif isinstance(layer, dpkt.udp.UDP):  # of several LiDARs behind one address
-            sender += b"%d %d" % (layer.sport, layer.dport)
+            sender += b" %d" % layer.dport
         layer = layer.data
     assert isinstance(layer, bytes)
     return sender, layer
