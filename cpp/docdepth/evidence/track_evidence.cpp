@@ -136,15 +136,11 @@ bool TrackEvidence::drives_over(const Detection& object, double time) const {
          lies_there(object, time, kObjectMargin);
 }
 
-/// Whether the track was followed through a detection while it moves, and all of it lies where the
-/// object is. Where people walk in single file, as many key frames find the place of each occupied
-/// as free.
+/// Whether the object moves where most of a detection was found free. Where people walk in single
+/// file, as many key frames find the place of each occupied as free.
 bool TrackEvidence::goes_through(const Detection& object, double time) const {
-  const OrientedBox box = object_.path.whole_box(time);
-  const auto inside = [&](const Vector& p) { return box.contains(p, kObjectMargin); };
   return object_.path.speed(time) >= kStanding &&
-         object.found_free_area() >= kMinFreeShare * object.area &&
-         std::all_of(object.samples().begin(), object.samples().end(), inside);
+         object.found_free_area() >= kMinFreeShare * object.area;
 }
 
 /// Whether the place of a detection was free before or after: by its own votes, or as it was

@@ -124,6 +124,20 @@ TEST_CASE("what was followed is dynamic where its place was free while the car w
   CHECK(!makes_dynamic(evidence(), 2.5, seen_at(place(2.5), 0, 0.3f, 0, int(kSweeps)), false));
 }
 
+TEST_CASE(
+    "what was followed while it moves is dynamic where most of it was free, if only for a while") {
+  const auto is_dynamic = [](double time, float porous, bool is_member = true) {
+    // Half a metre of it was never seen before, as with legs behind a parked car.
+    Detection seen = seen_at(place(time), 0.5, 0);
+    seen.porous_area = porous * seen.area;
+    return makes_dynamic(evidence(0), time, seen, is_member);
+  };
+  CHECK(is_dynamic(2.5, 0.6f));
+  CHECK(!is_dynamic(2.5, 0.4f));
+  CHECK(!is_dynamic(1, 0.6f));  // while it stands
+  CHECK(!is_dynamic(2.5, 0.6f, false));
+}
+
 TEST_CASE("where a vehicle drives that goes several lengths, nothing stands") {
   const auto is_dynamic = [](double time, double x, double y) {
     const TrackEvidence of{car(0, 20), 1, exact::stamps(kSweeps), {}};
