@@ -36,6 +36,22 @@ def test_raw_point_times_run_clockwise_from_behind() -> None:
     np.testing.assert_allclose(relative_time, [-0.5, -0.25, 0, 0.25, 0.5], atol=1e-6)
 
 
+@pytest.mark.parametrize("every", [2, 4])
+def test_a_sweep_lasts_as_long_as_before_where_others_are_left_out(raw: Path, every: int) -> None:
+    def seconds() -> np.ndarray:
+        recording = open_dataset(raw, image_size=SIZE)
+        relative_time = recording.sweep(0).relative_time
+        assert relative_time is not None
+        return relative_time * np.median(np.diff(recording.times)) * 1e-9
+
+    before, stamps = seconds(), raw / "velodyne_points" / "timestamps.txt"
+    sweeps = sorted((raw / "velodyne_points" / "data").iterdir())
+    stamps.write_text("".join(stamps.read_text().splitlines(keepends=True)[::every]))
+    for k, file in enumerate(sweeps):
+        file.unlink() if k % every else file.rename(file.with_name(f"{k // every:010d}.bin"))
+    np.testing.assert_allclose(seconds(), before, atol=2e-3)
+
+
 def test_a_missing_sweep_keeps_the_others_at_their_times(raw: Path) -> None:
     (raw / "velodyne_points" / "data" / "0000000001.bin").unlink()
     np.testing.assert_array_equal(open_dataset(raw).times, DRIVE.times[[0, 2, 3, 4]])

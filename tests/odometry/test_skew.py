@@ -21,9 +21,10 @@ class Without:
 
     name, path = "folder", Path("without")
 
-    def __init__(self, skew: bool, order: str, count: int = 12) -> None:
-        self.drive = Drive(scene("city"), sensor("VLP-16"), count, seed=7, skew=skew)
-        self.times, self._order, self.lidars, self.cameras = self.drive.times, order, {}, {}
+    def __init__(self, skew: bool, order: str, count: int = 12, every: int = 1) -> None:
+        self.drive = Drive(scene("city"), sensor("VLP-16"), every * count, seed=7, skew=skew)
+        self.times, self._every = self.drive.times[::every], every
+        self._order, self.lidars, self.cameras = order, {}, {}
         self.poses, self._read = None, dict[int, Sweep]()
 
     def __len__(self) -> int:
@@ -31,7 +32,7 @@ class Without:
 
     def sweep(self, index: int) -> Sweep:
         if index not in self._read:
-            true = self.drive.sweep(index)
+            true = self.drive.sweep(self._every * index)
             time, ring = true.relative_time, true.ring
             keys = (ring, time) if self._order == "columns" else (-time, ring)
             rows = np.lexsort(keys)
@@ -62,6 +63,13 @@ def test_what_is_right_makes_the_world_sharper(skew: bool, order: str, count: in
             for p in (poses, drive.drive.poses)
         ]
         assert steps[0] == pytest.approx(steps[1], rel=0.01)
+
+
+def test_where_sweeps_were_left_out_the_lidar_turned_several_times() -> None:
+    found = find_skew(Without(True, "columns", every=2))
+    assert found is not None
+    assert found.state == "measured"
+    assert found.turn == Turn(True, revolutions=2)
 
 
 def test_a_lidar_that_stands_tells_nothing() -> None:

@@ -48,6 +48,7 @@ KISS-ICP and CT-ICP correct it, too (IMLS-SLAM: 0.22 degrees). By the data sheet
 degrees (9001): where it is seen from 30 m, it lies 11 cm too low. Surfaces that were seen twenty
 sweeps apart agree best with 0.15 (0013, 0001)."""
 
+_TURN = 1e8  # nanoseconds
 _T_LIDAR_LASER = np.repeat(np.eye(4)[None], 64, axis=0)
 _T_LIDAR_LASER[:, 2, 3] = HEIGHTS
 _TOLERANCE = 3e-4  # of a slope; neighbouring lasers differ by twenty times that
@@ -105,12 +106,25 @@ def sensor_rig(points: NDArray[np.float32], raised_by: float = 0.0) -> SensorRig
     return SensorRig(lasers, _T_LIDAR_LASER, LATERAL_OFFSETS, np.zeros(64, np.uint8))
 
 
-def azimuth_relative_time(points: NDArray[np.float32]) -> NDArray[np.float32]:
+def azimuth_relative_time(
+    points: NDArray[np.float32], period: int | None = None
+) -> NDArray[np.float32]:
     """When each point was measured by a LiDAR that turns clockwise and faces forward at its stamp.
 
-    Shares (N,) of a revolution after the stamp, -0.5 to 0.5, of points (N, 3).
+    Parameters
+    ----------
+    points : ndarray of float32, shape (N, 3)
+    period : int, optional
+        Nanoseconds from stamp to stamp. KITTI's LiDAR turns ten times a second: where sweeps were
+        left out, it turned several times between two.
+
+    Returns
+    -------
+    ndarray of float32, shape (N,)
+        Shares of the period after the stamp: -0.5 to 0.5, or less if it is of several turns.
     """
-    return np.arctan2(points[:, 1], points[:, 0]) * np.float32(-0.5 / np.pi)
+    turns = max(round((period or 0) / _TURN), 1)
+    return np.arctan2(points[:, 1], points[:, 0]) * np.float32(-0.5 / np.pi / turns)
 
 
 def _lasers(

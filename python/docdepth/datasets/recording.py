@@ -328,7 +328,7 @@ class Recording(DatasetRepr):
         """When each point of sweep ``index`` was measured, as shares of a sweep."""
         if len(parts) == 1 and parts[0].relative_time is None:
             if self._settings.motion_compensated and self._is_kitti_lidar:
-                return kitti_lidar.azimuth_relative_time(parts[0].points)
+                return kitti_lidar.azimuth_relative_time(parts[0].points, self._period)
             return None
         if all(part.relative_time is None and part.late == 0 for part in parts):
             return None

@@ -37,10 +37,14 @@ class Turn:
     # share of a sweep that is measured before its stamp. Half of it is least wrong, if it is not
     # known
     before_stamp: float = 0.5
+    # revolutions from one stamp to the next: several, if sweeps were left out
+    revolutions: int = 1
 
     def __str__(self) -> str:
         way = "clockwise" if self.clockwise else "counterclockwise"
-        return way if self.seam_deg is None else f"{way} from {self.seam_deg:g} degrees"
+        seam = "" if self.seam_deg is None else f" from {self.seam_deg:g} degrees"
+        often = "" if self.revolutions == 1 else f", {self.revolutions} times a sweep"
+        return way + seam + often
 
     def relative_time(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """When each point was measured, as :attr:`~docdepth.datasets.Sweep.relative_time`.
@@ -60,7 +64,7 @@ class Turn:
             share = turned + np.angle(_on_circle(row[first] - turned[first]).sum()) / (2 * np.pi)
             share += np.round(row - share)  # a sweep may go on over its own beginning
         times = np.zeros(len(points), np.float32)
-        times[usable] = share - self.before_stamp
+        times[usable] = (share - self.before_stamp) / self.revolutions
         return times
 
 

@@ -3,7 +3,8 @@
 A few sweeps are registered both ways, with times from the rotation of the LiDAR and without. What
 is right makes the world sharper: points take fewer voxels, and lie nearer to surfaces that were
 seen before. Sweeps as measured are also tried in all directions of rotation and with all seams that
-their rows allow.
+their rows allow, and as often from one stamp to the next as they may turn: of many drives every
+second or fifth sweep is kept.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import docdepth._core as _core
 from docdepth.config import OdometryParameters
 from docdepth.datasets.base import Dataset, Sweep
 from docdepth.datasets.files import readable
-from docdepth.datasets.point_times import SHARE_BEFORE, Instant
+from docdepth.datasets.point_times import SHARE_BEFORE, USUAL_PERIOD, Instant, median_period
 from docdepth.datasets.views import FrameRange, TurningLidar, View
 from docdepth.errors import Finding, OdometryError
 from docdepth.geometry.se3 import transform_points
@@ -37,6 +38,7 @@ _PLACES = (0.3, 0.7)  # of a drive, where pieces are taken
 _MOVING = 0.15  # metres a sweep; slower ones hardly skew
 _VOXEL = 0.2  # metres
 _REACH = 50.0  # metres; farther voxels hold one point each
+_SLOW, _FAST = 10, 20  # revolutions a second of most LiDARs; some turn five times
 _APART = 4  # sweeps between those that are held against each other
 _NEAR, _MOST_OFF = 1.0, 0.5  # metres, from a point and from its surface
 _NEIGHBORS = 10  # points from which a surface is taken
@@ -92,14 +94,15 @@ def find_skew(recording: Dataset) -> Skew | None:
     Skew or None
         None where nothing can tell: of a LiDAR that does not spin, or hardly moves.
     """
-    turns = _turns_of(recording)
-    if not turns or len(recording) < _FEWEST:
+    ways = _turns_of(recording)
+    if not ways or len(recording) < _FEWEST:
         return None
     pieces = _pieces(recording)
-    if len(pieces) < (1 if len(turns) == 1 else 2):  # the best of many needs a second proof
+    if len(pieces) < (1 if len(ways) == 1 else 2):  # the best of many needs a second proof
         return None
+    turns = [replace(way, revolutions=n) for way in ways for n in _revolutions(recording)]
     first = {turn: pieces[0].sharpness(turn) for turn in turns}
-    turn = min(turns, key=lambda turn: first[turn].blur)
+    turn = min(first, key=lambda turn: first[turn].blur)
     measured = [first[turn], *(piece.sharpness(turn) for piece in pieces[1:])]
     compensated = [piece.sharpness(None) for piece in pieces]
     sharper = {one.blur < other.blur for one, other in zip(measured, compensated, strict=True)}
@@ -167,6 +170,14 @@ def _turns_of(recording: Dataset) -> list[Turn]:
     sweeps = readable(recording.sweep, places, len(recording)).values()
     found = [possible_turns(sweep.points, sweep.ring) for sweep in sweeps]
     return found[0] if found and all(turns == found[0] for turns in found) else []
+
+
+def _revolutions(recording: Dataset) -> list[int]:
+    """How often the LiDAR may turn from one stamp to the next: often, if sweeps were left out."""
+    seconds = (median_period(recording.times) or USUAL_PERIOD) * 1e-9
+    if round(_SLOW * seconds) < 2:
+        return [1]
+    return sorted({1, round(_SLOW * seconds), round(_FAST * seconds)})
 
 
 def _pieces(recording: Dataset) -> list[_Piece]:

@@ -143,7 +143,9 @@ class KittiOdometry(Recording):
                 f"or set motion_compensated: true in {self._settings.file}"
             )
         # The azimuth gives the time to a hundredth of a sweep, though the motion is removed.
-        return kitti_lidar.azimuth_relative_time(points) if self._is_kitti_lidar else None
+        if not self._is_kitti_lidar:
+            return None
+        return kitti_lidar.azimuth_relative_time(points, self._period)
 
 
 def _poses(

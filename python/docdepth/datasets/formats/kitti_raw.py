@@ -92,7 +92,7 @@ class KittiRaw(Recording):
             self.up = (0.0, 0.0, 1.0)
 
     def _relative_time(self, index: int, parts: Sequence[Part]) -> NDArray[np.float32]:
-        return kitti_lidar.azimuth_relative_time(parts[0].points)
+        return kitti_lidar.azimuth_relative_time(parts[0].points, self._period)
 
     def _read_poses(
         self, sweeps: list[Path], times: NDArray[np.int64]
