@@ -21,7 +21,7 @@ from docdepth.odometry.registration_log import (
 )
 from exact_drive import Drive
 
-COUNT = 26
+COUNT = 40
 
 
 @pytest.fixture(scope="module")

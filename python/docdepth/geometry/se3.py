@@ -184,6 +184,12 @@ def se3_exp(omega: NDArray[np.float64], velocity: NDArray[np.float64]) -> NDArra
     return result
 
 
+def power(motion: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+    """The motion (4, 4) in a share of its time."""
+    omega, velocity = se3_log(motion)
+    return se3_exp(share * omega, share * velocity)
+
+
 def skew(v: NDArray[np.float64]) -> NDArray[np.float64]:
     """The matrix [v]x (3, 3) whose product with a vector is the cross product of v with it."""
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])

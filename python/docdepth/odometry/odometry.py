@@ -33,9 +33,10 @@ from docdepth.geometry.trajectory import Trajectory, parts_of
 from docdepth.odometry.clock import find_clock_steps
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.first_motion import FIRST_SWEEPS, first_motion
+from docdepth.odometry.first_poses import USED, with_first_poses
 from docdepth.odometry.loop_closure import close_loops
 from docdepth.odometry.parts import joined_parts
-from docdepth.odometry.passes import KnownPoses, register
+from docdepth.odometry.passes import KnownPoses, fine_registration, register
 from docdepth.odometry.places import KEPT_SWEEPS
 from docdepth.odometry.pose_checks import (
     check_given_poses,
@@ -212,10 +213,12 @@ def estimate_poses(
     sweeps = sweeps or _thinned_sweeps(dataset, parameters, passes)
     paths = []
     for part in parts_of(dataset.times):
-        (first,) = _logs(dataset, parameters, checkpoint, part, "first_motion")
+        (motion_log,) = _logs(dataset, parameters, checkpoint, part, "first_motion")
+        (poses_log,) = _logs(dataset, parameters, checkpoint, part, "first_poses")
         logs = _logs(dataset, parameters, checkpoint, part, "pass", passes)
         of_part = SweepPart(sweeps, part)
-        paths.append(_registered(of_part, parameters, threads, first, logs, findings, progress))
+        firsts = motion_log, poses_log
+        paths.append(_registered(of_part, parameters, threads, firsts, logs, findings, progress))
     poses = joined_parts(sweeps, paths, findings)
     if parameters.loop_closure:
         (kept,) = _logs(dataset, parameters, checkpoint, range(count), "loops")
@@ -231,19 +234,26 @@ def _registered(
     sweeps: SweepPart,
     parameters: OdometryParameters,
     threads: int,
-    first: RegistrationLog,
+    firsts: tuple[RegistrationLog, RegistrationLog],
     logs: Sequence[RegistrationLog],
     findings: list[Finding],
     progress: Progress,
 ) -> NDArray[np.float64]:
-    """Poses (n, 4, 4) of a part in the frame of its first sweep, by a pass for each of ``logs``."""
+    """Poses (n, 4, 4) of a part in the frame of its first sweep, by a pass for each of ``logs``.
+
+    ``firsts`` keep its first motion and its first poses.
+    """
     stream, count = None, len(sweeps)
-    motion = _first_motion(sweeps, first)
+    motion = _first_motion(sweeps, firsts[0])
     for log_of_pass in logs:
         states = register(
             sweeps, parameters, motion, stream, thread_count(threads), log_of_pass, findings
         )
-        stream = _pose_stream(smoothed(states), count)
+        found = smoothed(states)
+        if log_of_pass is logs[-1]:
+            fine = fine_registration(thread_count(threads))
+            found = with_first_poses(found, sweeps, fine, firsts[1])
+        stream = _pose_stream(found, count)
     assert stream is not None
     try:
         for k in range(count):
@@ -258,7 +268,7 @@ def _registered(
 def _thinned_sweeps(dataset: Dataset, parameters: OdometryParameters, passes: int) -> ThinnedSweeps:
     """Sweeps of which the passes, and the check of the motion behind them, read each once."""
     # The last pass is this far behind the first, which looks ahead at its start.
-    behind = (passes - 1) * (LAG + NEIGHBORS)
+    behind = (passes - 1) * (LAG + NEIGHBORS) + LAG + USED
     checked = {k + j for k in places_compared(len(dataset)) for j in range(FIRST_SWEEPS)}
     return ThinnedSweeps(dataset, parameters, FINE_SAMPLING, behind + FIRST_SWEEPS, checked)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from docdepth.config import OdometryParameters
 from docdepth.errors import Finding, OdometryError
-from docdepth.geometry.se3 import inverse, se3_exp, se3_log
+from docdepth.geometry.se3 import inverse, power
 from docdepth.odometry.clock import possible_times, time_gone, times_if_lost
 from docdepth.odometry.deskewing import NEIGHBORS, centred_motion
 from docdepth.odometry.registration import FEWEST_POINTS, SEEN, UNKNOWN, Found, Registration
@@ -105,6 +105,11 @@ class LoggedRegistration:
             self._registration.insert(pose)
 
 
+def fine_registration(threads: int) -> Registration:
+    """An empty map of fine voxels, on which poses are refined."""
+    return Registration(_FINE_VOXEL, None, _FINE_NEIGHBORS, threads, _FINE_TOLERANCE)
+
+
 def register(
     sweeps: SweepPart,
     parameters: OdometryParameters,
@@ -140,7 +145,7 @@ def register(
         fresh = Registration(voxel, 0.5 * voxel, _NEIGHBORS, threads)
     else:
         voxel = _FINE_VOXEL
-        fresh = Registration(voxel, None, _FINE_NEIGHBORS, threads, _FINE_TOLERANCE)
+        fresh = fine_registration(threads)
     registration = LoggedRegistration(fresh, kept, count, parameters.max_range + voxel)
     period = float(np.median(np.diff(times))) if count > 1 else 1.0
     stamp_error = stamp_error_of(times)
@@ -182,7 +187,7 @@ def register(
             predicted.append(sweeps.first + k)
         if k and known is None:
             # The filtered velocity: the last step would feed its error back by deskewing.
-            motion = _power(inverse(last) @ pose, 1 / elapsed)
+            motion = power(inverse(last) @ pose, 1 / elapsed)
             motion[:3, 3] = 1e-9 * period * pose[:3, :3].T @ state.velocity
         yield state
     if predicted and known is None:  # the other passes would say the same
@@ -199,13 +204,7 @@ def _extrapolated(
     pose: NDArray[np.float64], motion: NDArray[np.float64], times: Sequence[float]
 ) -> list[NDArray[np.float64]]:
     """Where a motion leads from a pose in each of these times."""
-    return [pose @ _power(motion, time) for time in times]
-
-
-def _power(motion: NDArray[np.float64], share: float) -> NDArray[np.float64]:
-    """The motion (4, 4) of a share of the time."""
-    omega, velocity = se3_log(motion)
-    return se3_exp(share * omega, share * velocity)
+    return [pose @ power(motion, time) for time in times]
 
 
 def _disagreement(disagreeing: int, count: int) -> Finding:
