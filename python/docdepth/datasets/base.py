@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from docdepth.datasets.files import ImageSource, read_image_of
 from docdepth.errors import CalibrationError, DatasetError, InputError
-from docdepth.geometry.camera import Camera, checked_place
+from docdepth.geometry.camera import Camera, checked_mount, checked_place
 from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.points import ShortRepr, as_integer, check_points, float_array, nanoseconds
 
@@ -115,7 +115,7 @@ class LidarStream(ShortRepr):
     def __post_init__(self) -> None:
         times = _times_of(f"LiDAR {self.name}", self.times, self.names)
         object.__setattr__(self, "times", times)
-        T = checked_place(f"LiDAR {self.name}: T_lidar_sensor", self.T_lidar_sensor)
+        T = checked_mount(f"LiDAR {self.name}: T_lidar_sensor", self.T_lidar_sensor)
         object.__setattr__(self, "T_lidar_sensor", T)
 
 

@@ -29,6 +29,7 @@ from docdepth.datasets.resampled import ResampledLidar, resample
 from docdepth.datasets.settings import RecordingSettings
 from docdepth.datasets.views import without_ego
 from docdepth.errors import NOTE, DatasetError, DocDepthError
+from docdepth.geometry.camera import checked_mount
 from docdepth.geometry.lidar_frame import SensorRig
 from docdepth.geometry.points import usable_points
 from docdepth.geometry.se3 import inverse, transform_points
@@ -95,6 +96,8 @@ class Recording(DatasetRepr):
         uncalibrated: dict[str, ImageStream] | None = None,
         labels: Path | None = None,
     ) -> None:
+        for camera in cameras.values():
+            checked_mount(f"camera {camera.name}: T_camera_lidar", camera.T_camera_lidar)
         self.name, self.path, self.cameras = name, path, cameras
         self.uncalibrated = uncalibrated or {}
         self._label_folder, self._world = labels, world

@@ -28,7 +28,7 @@ from docdepth.datasets.files import FILE, is_there, read_image, read_lines, sett
 from docdepth.datasets.point_times import Instant, Unit
 from docdepth.datasets.pose_tables import read_poses_at
 from docdepth.errors import CalibrationError, DatasetError
-from docdepth.geometry.camera import MOST_METRES, Camera, camera_of, checked_place
+from docdepth.geometry.camera import MOST_METRES, Camera, camera_of, checked_mount
 from docdepth.geometry.se3 import nearest_rigid
 from docdepth.io.inputs import MOST_BOXES
 from docdepth.io.untrusted import parse_yaml
@@ -283,7 +283,7 @@ def transform(numbers: list[float] | None, where: str) -> NDArray[np.float64]:
         raise CalibrationError(f"{where} must be 16 numbers, row by row; got {numbers}")
     T = np.eye(4)
     T[: len(numbers) // 4] = np.array(numbers).reshape(-1, 4)
-    checked_place(where, T)
+    checked_mount(where, T)
     # A matrix printed with few digits is a rotation only nearly; a whole one is kept to the bit.
     nearest = nearest_rigid(T)
     return nearest if np.abs(nearest - T).max() > _WHOLE else T

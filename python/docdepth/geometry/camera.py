@@ -129,6 +129,12 @@ def checked_place(where: str, T: ArrayLike, remedy: str = "") -> NDArray[np.floa
             f"{where} must be a 4x4 rotation and translation in metres{if_mirrored(matrix)}; "
             f"{remedy or f'got {matrix.tolist()}'}"
         ) from None
+    return matrix
+
+
+def checked_mount(where: str, T: ArrayLike) -> NDArray[np.float64]:
+    """As :func:`checked_place`, of a sensor on a vehicle: a virtual camera may be anywhere."""
+    matrix = checked_place(where, T)
     if np.linalg.norm(matrix[:3, 3]) > MOST_METRES:
         raise CalibrationError(f"{where} moves by more than {MOST_METRES:g} m; is it in metres?")
     return matrix
