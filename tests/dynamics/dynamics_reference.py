@@ -272,9 +272,13 @@ def short_edges(points, triangles, distance, growth):
     """Sides of triangles that connect their corners."""
     corners = triangles.astype(int)
     edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
-    range_ = np.sqrt(squared(points))[edges].min(axis=1)
-    most = np.maximum(np.float32(distance), np.float32(growth) * range_)
-    return edges[squared(points[edges[:, 0]] - points[edges[:, 1]]) < most * most]
+    range_ = np.sqrt(squared(points))[edges]
+    apart = squared(points[edges[:, 0]] - points[edges[:, 1]])
+    along = (range_[:, 0] - range_[:, 1]) ** 2
+    near = apart < np.float32(distance) ** 2
+    far = np.float32(growth) * range_.min(axis=1)
+    beside = along <= np.float32(0.985) ** 2 * apart
+    return edges[near | (beside & (apart < far * far))]
 
 
 def squared(v):

@@ -118,7 +118,11 @@ bool moves(const ObjectTrack& object, const std::vector<double>& times,
   if (distance >= options.min_distance &&
       (shares.free >= kMovingFreeShare || shares.transient >= kSurelyTransientShare))
     return true;
-  if (distance >= kSamePlace && shares.free >= kMinFreeShare) return true;
+  // In less than a second, somebody may walk and not leave his place.
+  const double seconds =
+      times[track.observations.back().sweep] - times[track.observations.front().sweep];
+  if (distance >= kSamePlace * std::clamp(seconds, 0.5, 1.0) && shares.free >= kMinFreeShare)
+    return true;
   return is_vehicle(path) && appears(track.observations, times, options.min_detections);
 }
 

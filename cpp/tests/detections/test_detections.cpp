@@ -163,3 +163,21 @@ TEST_CASE("what was free at some time nearly as a whole is here for a while, tho
   CHECK(is_transient_if_free_from(-39));   // 0.95 or more
   CHECK(!is_transient_if_free_from(-37));  // less than 0.86
 }
+
+TEST_CASE("what lies behind another along the ray is not connected") {
+  // Two columns of returns at 20 m, the second so much farther and so far beside the first.
+  const auto connected = [](float farther, float beside) {
+    Eigen::Matrix<float, 4, 3, Eigen::RowMajor> points;
+    points << 20, 0, 0, 20, 0, 0.1f, 20 + farther, beside, 0, 20 + farther, beside, 0.1f;
+    ScanMesh mesh;
+    mesh.points = 4;
+    mesh.triangles = {{0, 1, 2}, {1, 2, 3}};
+    mesh.discontinuity = {0, 0};
+    const std::vector<std::uint8_t> ground(4);
+    return cluster_objects(points, Scan::as_bool(ground), mesh)[2] == 0;
+  };
+  CHECK(connected(0.9f, 0.2f));        // the side of a lorry at 12.5 degrees
+  CHECK_FALSE(connected(0.9f, 0.1f));  // at 6.3 degrees: people who walk in file
+  CHECK(connected(0.2f, 0.01f));       // so near are the legs of one
+  CHECK_FALSE(connected(0.9f, 0.6f));  // more than a twentieth of the range apart
+}

@@ -74,7 +74,40 @@ bool moves_if(float porous, float transient, float free, double distance = 10,
   return moves(object, exact::stamps(kSweeps), {});
 }
 
+/// Whether somebody moves who is seen in so many sweeps, at this speed, where most was free.
+bool walks(std::size_t sweeps, double speed) {
+  Track track;
+  Path path;
+  path.extent = {{-0.2f, -0.3f, 0}, {0.2f, 0.3f, 1.7f}};
+  for (std::size_t k = 0; k < sweeps; ++k) {
+    const double t = 0.1 * double(k);
+    TrackObservation seen;
+    seen.sweep = k;
+    seen.box = path.extent;
+    seen.area = 1000;
+    seen.free_area = seen.transient_area = 770;
+    seen.is_transient = true;
+    ++track.transient_count;
+    track.observations.push_back(seen);
+    path.states.push_back({.time = t,
+                           .position = {speed * t, 0, 0},
+                           .velocity = {speed, 0, 0},
+                           .is_transient = true});
+    path.extents.push_back(path.extent);
+  }
+  return moves({track, TrackPath(path, {})}, exact::stamps(sweeps), {});
+}
+
 }  // namespace
+
+TEST_CASE("somebody walks who is seen for half a second only") {
+  CHECK(walks(7, 0.8));
+  CHECK(walks(9, 0.6));
+  CHECK_FALSE(walks(9, 0.45));   // 0.36 m in 0.8 s
+  CHECK_FALSE(walks(25, 0.12));  // 0.29 m in 2.4 s: a bush
+  CHECK_FALSE(walks(3, 1.2));    // 0.24 m
+  CHECK(walks(3, 1.4));
+}
 
 TEST_CASE("what moves is not thin and porous, or goes far") {
   const auto fence_moves_if = [](float porous, float transient, float free) {
