@@ -96,6 +96,26 @@ def behind_steps(points, ground, p):
     return sorted(seeds)
 
 
+def beyond_gaps(points, ground, p, lidar):
+    """Away from a LiDAR that stands: low places of the next cells with points, level with ground."""
+    cells = np.floor(points[:, :2]).astype(int)
+    found, cell, count = np.unique(cells[ground], axis=0, return_inverse=True, return_counts=True)
+    height = np.bincount(cell.ravel(), points[ground, 2]) / count
+    full = {tuple(c) for c, n in zip(found, count, strict=True) if n >= p.neighbors}
+    seeds = set()
+    for c, h, n in zip(found, height, count, strict=True):
+        way = c + 0.5 - lidar
+        for step in np.arange(1, np.linalg.norm(way)) if 2 * n >= p.neighbors else ():
+            beyond = np.floor(c + 0.5 + step * way / np.linalg.norm(way))
+            low = lowest(points, beyond + 0.5, 0.5, p.seed_quantile)
+            if (beyond == c).all() or low is None:
+                continue
+            if tuple(beyond) not in full and not ground[low] and abs(points[low, 2] - h) <= 0.1:
+                seeds.add(low)
+            break
+    return sorted(seeds)
+
+
 def label_sweeps(sweeps, poses, p):
     """Ground labels of every sweep, and how many voxels are ground."""
     origin = poses[0][:3, 3]
@@ -110,7 +130,13 @@ def label_sweeps(sweeps, poses, p):
         if not widens or radius >= 16:
             break
         radius *= 2
-    while p.step_height and (seeds := behind_steps(points, ground, p)):
+    middle = (poses[:, :2, 3].min(axis=0) + poses[:, :2, 3].max(axis=0)) / 2 - origin[:2]
+
+    def more():
+        steps = behind_steps(points, ground, p)
+        return sorted({*steps, *(beyond_gaps(points, ground, p, middle) if stands else ())})
+
+    while p.step_height and (seeds := more()):
         ground = grow(points, seeds, p, stands, ground)
     ends = np.cumsum([len(s) for s in sweeps])[:-1]
     return np.split(ground[voxel], ends), int(ground.sum())

@@ -109,6 +109,26 @@ def test_rings_of_a_lidar_that_stands_are_ground(step_height, least):
     assert ground[:, len(rays) :].mean() < 0.1
 
 
+def test_ground_continues_behind_the_gaps_between_rings_of_a_lidar_that_stands():
+    """Rings 2 degrees apart meet the road at 19 and 32 m, and a wall that stands at 25 m."""
+    rng = np.random.default_rng(2)
+    azimuth = np.arange(0, 2 * np.pi, 0.004)
+    depression = np.radians(np.arange(15.0, 0, -2))[:, None]
+    across, down = np.cos(depression), np.sin(depression) * np.ones(len(azimuth))
+    rays = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), -down], -1).reshape(-1, 3)
+    road, wall = -1.7 / rays[:, 2], np.where(rays[:, 0] > 0.7, 25 / rays[:, 0], np.inf)
+    rays, road, wall = (of[np.minimum(road, wall) < 60] for of in (rays, road, wall))
+    exact = np.minimum(road, wall)
+    noisy = [exact + rng.normal(0, 0.02, len(exact)) for _ in range(8)]
+    sweeps = [(distance[:, None] * rays).astype(np.float32) for distance in noisy]
+    ground = assert_equals_reference(sweeps, np.tile(np.eye(4), (8, 1, 1)), GroundParameters())
+    ground = ground.reshape(8, -1)
+    far = (road < wall) & (road > 25)
+    assert far.sum() > 500
+    assert ground[:, far].mean() > 0.95
+    assert not ground[:, exact * rays[:, 2] > -1.2].any()
+
+
 def test_ties_of_distance_are_resolved_alike():
     """A perfect lattice is nothing but ties."""
     x, y = np.meshgrid(np.arange(-15, 15), np.arange(-15, 15))

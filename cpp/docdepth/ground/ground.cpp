@@ -99,7 +99,8 @@ std::size_t GroundMap::grow() {
     };
     if (double(ground()) < state.parameters.least_share * points && first_radius < kMaxSeedRadius)
       continue;
-    StepSeeds steps(tree, state.parameters, state.threads, state.origin - *state.corner);
+    StepSeeds steps(tree, state.parameters, state.threads, state.origin - *state.corner,
+                    stands ? std::optional<Vector3d>(extent.center()) : std::nullopt);
     while (state.parameters.step_height > 0 && steps.seed(front)) front.grow();
     tree.store_ground([&](std::uint32_t i) { return front.labelled(i); }, state.threads);
     return ground();
