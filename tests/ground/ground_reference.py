@@ -97,7 +97,7 @@ def behind_steps(points, ground, p):
 
 
 def beyond_gaps(points, ground, p, lidar):
-    """Away from a LiDAR that stands: low places of the next cells with points, level with ground."""
+    """Low places of the next cells with points, away from a LiDAR that stands, and level."""
     cells = np.floor(points[:, :2]).astype(int)
     found, cell, count = np.unique(cells[ground], axis=0, return_inverse=True, return_counts=True)
     height = np.bincount(cell.ravel(), points[ground, 2]) / count

@@ -19,6 +19,11 @@ constexpr float kSurelyTransientShare = 0.99f;
 /// more.
 constexpr float kMaxFenceWidth = 0.25f;
 constexpr float kMaxPorousShare = 1 / 3.0f;
+/// What is as thick and as high as somebody who walks [m], and goes where so large a share was
+/// found free at some time, moves, too: in single file others are at his places before and after.
+constexpr float kMinPersonWidth = 0.35f;
+constexpr float kMinPersonHeight = 1;
+constexpr float kFoundFreeInFile = 0.8f;
 /// What is as long as a car [m], goes so many times its length, and once its length while
 /// transient, is no fence, even where other vehicles hide that its place was free: lorries that
 /// follow each other do. A shorter piece of a hedge may seem to move along with the LiDAR.
@@ -54,6 +59,7 @@ bool appears(const std::vector<TrackObservation>& seen, const std::vector<double
 /// What of an object is here for a while only, while its path moves: shares of its area.
 struct MovingShares {
   float transient = 0, free = 0;
+  float found_free = 0;  ///< at some time, though perhaps occupied again
 };
 
 MovingShares shares_while_moving(const ObjectTrack& object, const std::vector<double>& times) {
@@ -64,8 +70,9 @@ MovingShares shares_while_moving(const ObjectTrack& object, const std::vector<do
     area += seen.area;
     shares.transient += seen.transient_area;
     shares.free += seen.free_area;
+    shares.found_free += std::max(seen.transient_area, seen.free_area + seen.porous_area);
   }
-  if (area > 0) shares = {shares.transient / area, shares.free / area};
+  if (area > 0) shares = {shares.transient / area, shares.free / area, shares.found_free / area};
   return shares;
 }
 
@@ -79,6 +86,12 @@ bool is_fence(const ObjectTrack& object) {
   }
   return object.path.extent().size().head<2>().minCoeff() < kMaxFenceWidth &&
          porous_area > kMaxPorousShare * area;
+}
+
+bool may_be_person(const TrackPath& path) {
+  const Eigen::Vector3f size = path.extent().size();
+  return !path.is_rigid() && size.head<2>().minCoeff() >= kMinPersonWidth &&
+         size.z() >= kMinPersonHeight;
 }
 
 }  // namespace
@@ -116,7 +129,8 @@ bool moves(const ObjectTrack& object, const std::vector<double>& times,
   const MovingShares shares = shares_while_moving(object, times);
   const float distance = path.distance();
   if (distance >= options.min_distance &&
-      (shares.free >= kMovingFreeShare || shares.transient >= kSurelyTransientShare))
+      (shares.free >= kMovingFreeShare || shares.transient >= kSurelyTransientShare ||
+       (may_be_person(path) && shares.found_free >= kFoundFreeInFile)))
     return true;
   // In less than a second, somebody may walk and not leave his place.
   const double seconds =

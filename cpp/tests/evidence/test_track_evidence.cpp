@@ -20,7 +20,7 @@ double place(double t, double distance = 10) {
 ObjectTrack car(float free, double distance = 10, double hidden_until = 0, float width = 1.8f) {
   Track track;
   Path path;
-  path.rigid = true;
+  path.rigid = width > 1.4f;
   path.extent = {{-2.2f, -width / 2, 0.2f}, {2.2f, width / 2, 1.6f}};
   for (std::size_t k = 0; k < kSweeps; ++k) {
     const double t = 0.1 * double(k);
@@ -138,6 +138,17 @@ TEST_CASE("what moves goes through places that were free before or after") {
   CHECK(moves_if(0.01f, 0.98f, 0.96f, 0.7));
   CHECK_FALSE(moves_if(0.01f, 0.98f, 0.4f, 0.7));
   CHECK_FALSE(moves_if(0.01f, 0.98f, 0.96f, 0.4));
+}
+
+TEST_CASE("somebody in single file moves where others were before and after") {
+  const auto moves_if = [](float porous, float free, float width, double distance = 3) {
+    return ::moves_if(porous, free, free, distance, 0, width);
+  };
+  CHECK(moves_if(0.80f, 0.05f, 0.64f));        // by 64 beams
+  CHECK(moves_if(0.75f, 0.11f, 0.46f));        // by 16 beams
+  CHECK_FALSE(moves_if(0.80f, 0.05f, 0.30f));  // a fence of KITTI 0013
+  CHECK_FALSE(moves_if(0.65f, 0.05f, 0.64f));  // a hedge
+  CHECK_FALSE(moves_if(0.80f, 0.05f, 0.64f, 0.9));
 }
 
 TEST_CASE("a car that moves at some time is known before and after, where it stands") {
