@@ -17,7 +17,7 @@ from docdepth.config import Parameters
 from docdepth.datasets import image_streams, open_dataset
 from docdepth.datasets.formats.bag import bag_file
 from docdepth.errors import DatasetError
-from docdepth.geometry.se3 import poses_from, rotation_exp
+from docdepth.geometry.se3 import inverse, poses_from, rotation_exp
 from docdepth.io.inputs import RunInputs
 from docdepth.pipeline.check import check_inputs
 
@@ -563,3 +563,61 @@ def test_mcap_of_another_program(tmp_path: Path) -> None:
     writer.finish()
     with pytest.raises(DatasetError, match=r"a.mcap cannot be opened.*MCAP of ROS 2 alone"):
         open_dataset(tmp_path / "a.mcap")
+
+
+def test_of_two_parents_of_a_frame_the_later_counts(tmp_path: Path, caplog) -> None:
+    """A driver sends a place as designed, then the calibrated one in another frame."""
+    T_lidar_camera = inverse(DRIVE.T_camera_lidar)
+    designed = T_lidar_camera.copy()
+    designed[:3, 3] += 1
+    for places, told in (((designed, T_lidar_camera), True), ((T_lidar_camera,) * 2, False)):
+        caplog.clear()
+        with BagWriter(tmp_path / "drive", "mcap") as bag:
+            links = (("base", "lidar", np.eye(4)), ("camera", "base", places[0]),
+                     ("camera", "lidar", places[1]))  # fmt: skip
+            for child, parent, T in links:
+                bag.write("/tf_static", bag.transform(child, parent, T), 0)
+            for k, time in enumerate(DRIVE.times.tolist()):
+                bag.write("/points", bag.cloud(padded_rows(k), time), time)
+                bag.write("/cam/camera_info", bag.camera_info(K, DISTORTION, SIZE, time), time)
+                bag.write("/cam/image_raw", bag.image(DRIVE.image(0), time), time)
+        (camera,) = open_dataset(tmp_path / "drive").cameras.values()
+        np.testing.assert_allclose(camera.T_camera_lidar, DRIVE.T_camera_lidar, atol=1e-9)
+        assert ("'camera' in 'base' and elsewhere in 'lidar'" in caplog.text) == told
+
+
+@pytest.mark.parametrize(
+    ("encoding", "named", "expected"),
+    [
+        ("bgr8", None, ["cam"]),
+        ("unread", None, ["cam"]),
+        ("bgr8", "/cam/image_raw/compressed", ["cam_image_raw", "cam_image_raw_compressed"]),
+    ],
+)
+def test_raw_and_compressed_images_are_one_camera(
+    tmp_path: Path, encoding: str, named: str | None, expected: list[str]
+) -> None:
+    path = tmp_path / "drive"
+    with BagWriter(path, "mcap") as bag:
+        bag.write("/tf_static", bag.transform("lidar", "camera", DRIVE.T_camera_lidar), 0)
+        for k, time in enumerate(DRIVE.times.tolist()):
+            bag.write("/points", bag.cloud(padded_rows(k), time), time)
+            bag.write("/cam/camera_info", bag.camera_info(K, DISTORTION, SIZE, time), time)
+            image = DRIVE.image(k)
+            bag.write("/cam/image_raw", bag.image(image, time, encoding=encoding), time)
+            png = cv2.imencode(".png", image)[1].tobytes()
+            bag.write("/cam/image_raw/compressed", bag.compressed(png, time), time)
+    if named:
+        say(path, cameras={named: {}})
+    assert sorted(open_dataset(path).cameras) == expected
+
+
+def test_video_is_left_out_at_once(tmp_path: Path, caplog) -> None:
+    path = tmp_path / "drive"
+    with BagWriter(path, "mcap") as bag:
+        for k, time in enumerate(DRIVE.times.tolist()):
+            bag.write("/points", bag.cloud(padded_rows(k), time), time)
+            bag.write("/cam/compressed", bag.compressed(bytes(99), time, format="h264"), time)
+    assert not open_dataset(path).cameras
+    assert "/cam/compressed holds video (h264)" in caplog.text
+    assert "decode it to a topic of images" in caplog.text

@@ -19,6 +19,7 @@ from docdepth.datasets.formats.bag.ros_images import (
     camera_of,
     decode_image,
     is_photo,
+    is_video,
     measures,
     rectification_of,
     size_of,
@@ -71,7 +72,13 @@ def open_camera(
     where = f"{bag.path}, {topic}"
     first = bag.read(topic, messages[0], where)
     if settings is None and not is_photo(first):
-        if measures(first):
+        if is_video(first):
+            log.warning(
+                "%s holds video (%s), which docdepth does not read, and is left out; record JPEG, "
+                "PNG or raw images, or decode it to a topic of images",
+                where, first.format,
+            )  # fmt: skip
+        elif measures(first):
             log.info("%s holds no photos and is left out", where)
         else:
             log.warning(

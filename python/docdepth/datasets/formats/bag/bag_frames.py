@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -22,6 +23,8 @@ from docdepth.geometry.trajectory import Trajectory
 log = logging.getLogger(__name__)
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
+_ROUNDED = 1e-3  # metres, and of a rotation matrix
 
 Link: TypeAlias = tuple[str, str, NDArray[np.float64]]
 
@@ -41,18 +44,38 @@ class StaticFrames:
         self._others = others
         self._edges: dict[str, dict[str, NDArray[np.float64]]] = {}
         self._parents: dict[str, str] = {}
+        parents: dict[str, dict[str, NDArray[np.float64]]] = {}
         for message in messages:
             for one in message.transforms:
                 parent, child = (
                     name.lstrip("/") for name in (one.header.frame_id, one.child_frame_id)
                 )
                 try:
-                    self._connect(parent, child, _rigid(one.transform))
+                    parents.setdefault(child, {})[parent] = _rigid(one.transform)
                     self._parents[child] = parent
                 except DatasetError as error:
                     log.warning(
                         "the static transform of %r in %r is left out: %s", child, parent, error
                     )
+        for child, known in parents.items():
+            for parent, T in list(known.items())[:1]:
+                self._connect(parent, child, T)
+        for child, known in parents.items():
+            for before, parent in pairwise(known):
+                self._replace(before, parent, child, known[parent])
+
+    def _replace(self, before: str, parent: str, child: str, T: NDArray[np.float64]) -> None:
+        """Connect a frame with another parent. Of two that disagree the later counts, as in ROS."""
+        other = self._way(parent, child)
+        if other is not None and not _agree(other, T):
+            log.warning(
+                "static transforms put %r in %r and elsewhere in %r; the later counts, %r. If that "
+                "is wrong, say T_camera_lidar or T_lidar_sensor in docdepth.yaml",
+                child, before, parent, parent,
+            )  # fmt: skip
+            for one, end in ((before, child), (child, before)):
+                self._edges[one].pop(end, None)
+        self._connect(parent, child, T)
 
     def _connect(self, parent: str, child: str, T: NDArray[np.float64]) -> None:
         self._edges.setdefault(parent, {})[child] = T
@@ -91,6 +114,11 @@ class StaticFrames:
                     found[other] = found[at] @ T
                     waiting.append(other)
         return None
+
+
+def _agree(first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
+    """Whether two poses (4, 4) are one, but for the digits with which they were written."""
+    return bool(np.abs(first - second).max() < _ROUNDED)
 
 
 def _rigid(transform: Any) -> NDArray[np.float64]:

@@ -142,9 +142,18 @@ def _cameras(
             f"{', '.join(topics) or 'none'}"
         )
     cameras: dict[str, CameraStream | ImageStream] = {}
-    for topic in (topic for topic in topics if bag.index[topic]):
+    topics = [topic for topic in topics if bag.index[topic]]
+    twins = {raw: twin for raw in topics if (twin := f"{raw}/compressed") in topics}
+    twins = {r: t for r, t in twins.items() if not {r, t} & bag.settings.cameras.keys()}
+    distinct = [topic for topic in topics if topic not in twins.values()]
+    # Whichever of raw and compressed images was recorded more often is the camera.
+    for topic in _by_count(topics, twins, bag):
+        raw = next((r for r, t in twins.items() if topic in (r, t)), topic)
         messages, times = bag.in_order(topic)
-        name = camera_name(topic, topics)
+        name = camera_name(raw, distinct)
+        if name in cameras:
+            log.info("%s, %s: the same images as of camera %s are left out", bag.path, topic, name)
+            continue
         stream = open_camera(bag, name, topic, messages, times, lidar.messages[0].frame)
         if stream is None:
             continue
@@ -158,6 +167,16 @@ def _cameras(
                 topic, times[0] * 1e-9, times[-1] * 1e-9, file,
             )  # fmt: skip
     return cameras
+
+
+def _by_count(topics: Sequence[str], twins: Mapping[str, str], bag: OpenedBag) -> list[str]:
+    """Topics in their order; of raw and compressed images those that are more come first."""
+    ordered = list[str]()
+    for topic in topics:
+        if topic not in twins.values():
+            both = [topic, *([twins[topic]] if topic in twins else [])]
+            ordered += sorted(both, key=lambda one: -len(bag.index[one]))
+    return ordered
 
 
 def _lidar_topics(bag: BagFile, settings: BagSettings) -> list[str]:

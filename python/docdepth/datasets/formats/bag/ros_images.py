@@ -37,6 +37,7 @@ _ENCODINGS: dict[str, tuple[int, int | None]] = {
     "yuv422_yuy2": (2, cv2.COLOR_YUV2BGR_YUY2),
     "yuyv": (2, cv2.COLOR_YUV2BGR_YUY2),
 }
+_VIDEO = ("h264", "h265", "hevc", "h.264", "h.265", "av1", "vp8", "vp9")
 _MODELS: dict[str, LensModel] = {
     "": "pinhole",
     "plumb_bob": "pinhole",
@@ -51,8 +52,14 @@ _OFF_CENTRE = 0.05  # of width and height; both that far off the middle, a princ
 def is_photo(message: Any) -> bool:
     """Whether a message holds an image for people, not depth, labels or the like."""
     if message.__msgtype__ == IMAGES[1]:
-        return "compressedDepth" not in message.format
+        return "compressedDepth" not in message.format and not is_video(message)
     return _of_eight_bits(message.encoding) in _ENCODINGS
+
+
+def is_video(message: Any) -> bool:
+    """Whether a message holds a piece of a video, most of which need the pieces before."""
+    is_compressed = message.__msgtype__ == IMAGES[1]
+    return is_compressed and any(codec in message.format.lower() for codec in _VIDEO)
 
 
 def measures(message: Any) -> bool:
