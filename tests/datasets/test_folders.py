@@ -13,6 +13,7 @@ from made_up import DRIVE
 from writers import WRITERS, folder_rows, seconds, settings, write_beside, write_pcd
 
 from docdepth.datasets import open_dataset
+from docdepth.datasets.cloud import foreign_format
 from docdepth.datasets.cloud_files import RowFormat, read_cloud
 from docdepth.datasets.formats.cloud_folder import cloud_files
 from docdepth.datasets.times import time_of_name, times_of_files
@@ -620,3 +621,24 @@ def test_zeros_are_a_lens_of_a_fisheye_only(folder: Path, model: str, kept: bool
     stream = open_dataset(folder).cameras["front"]
     assert stream.model == model
     assert (stream.distortion is not None) == kept
+
+
+def test_doubles_with_rows_of_nan_are_told(tmp_path: Path) -> None:
+    rows = np.random.default_rng(0).uniform(-40, 40, (900, 4))
+    rows[:, 2:] /= 50
+    rows[-60:] = np.nan
+    assert "float64" in (foreign_format(rows.tobytes()) or "")
+    assert foreign_format(rows.astype("<f4").tobytes()) is None
+
+
+def test_compressed_pcd_that_did_not_become_smaller(tmp_path: Path) -> None:
+    """pypcd4 and others store the values as they are, and call them compressed."""
+    columns = np.random.default_rng(0).uniform(-40, 40, (3, 50)).astype("<f4")
+    head = (
+        "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 50\nHEIGHT 1\n"
+        "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 50\nDATA binary_compressed\n"
+    )
+    size = columns.nbytes.to_bytes(4, "little")
+    (tmp_path / "one.pcd").write_bytes(head.encode() + 2 * size + columns.tobytes())
+    rows, _ = read_pcd(tmp_path / "one.pcd")
+    np.testing.assert_array_equal(np.stack([rows[axis] for axis in "xyz"]), columns)

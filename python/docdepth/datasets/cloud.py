@@ -221,10 +221,10 @@ def foreign_format(content: bytes, columns: int = 4) -> str | None:
 
 
 def _plausible(values: NDArray[np.floating]) -> float:
-    """Share of numbers that may be coordinates or reflectances."""
-    magnitude = np.abs(values)
-    good = (values == 0) | ((magnitude > _PLAUSIBLE[0]) & (magnitude < _PLAUSIBLE[1]))
-    return float(good.mean())
+    """Share of numbers that may be coordinates or reflectances; NaN is no return."""
+    magnitude = np.abs(values[~np.isnan(values)])
+    good = (magnitude == 0) | ((magnitude > _PLAUSIBLE[0]) & (magnitude < _PLAUSIBLE[1]))
+    return float(good.mean()) if len(good) else 0.0
 
 
 def _distinction(values: NDArray[np.floating], columns: int) -> float:

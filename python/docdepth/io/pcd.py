@@ -259,8 +259,8 @@ def _read_compressed(body: bytes, header: PcdHeader) -> NDArray[Any]:
         raise PcdError(f"is damaged: {packed} bytes cannot hold {whole}")
     try:
         unpacked = lzf.decompress(body[8 : 8 + packed], whole) if packed else b""
-    except ValueError:
-        unpacked = None
+    except ValueError:  # pypcd4 stores what does not become smaller as it is
+        unpacked = body[8 : 8 + packed] if packed == whole else None
     if unpacked is None or len(unpacked) != whole:
         raise PcdError("is damaged: it cannot be decompressed")
     rows = np.empty(header.count, header.dtype())
