@@ -304,3 +304,20 @@ def test_millimetres_of_a_calibration(tmp_path: Path) -> None:
     file.write_text(json.dumps(rows))
     with pytest.raises(CalibrationError, match=r"CAM_FRONT.*moves by more than 100 m"):
         open_dataset(path)
+
+
+@pytest.mark.parametrize("scenes", [1, 2])
+def test_nuscenes_rows_without_a_sample(tmp_path: Path, caplog, scenes: int) -> None:
+    """They belong to the only scene there is; of several, none is guessed."""
+    path = WRITERS["nuScenes"][1](tmp_path).path
+    before = len(open_dataset(path))
+    (file,) = tmp_path.rglob("sample_data.json")
+    rows = json.loads(file.read_text())
+    sweep = [row for row in rows if "LIDAR_TOP" in row["filename"]][1]
+    sweep["sample_token"] = ""
+    file.write_text(json.dumps(rows))
+    table = file.with_name("scene.json")
+    known = [row for row in json.loads(table.read_text()) if row["name"] == path.name]
+    table.write_text(json.dumps(known + [{"token": "z", "name": "other"}] * (scenes - 1)))
+    assert len(open_dataset(path)) == (before if scenes == 1 else before - 1)
+    assert ("1 of" in caplog.text and "no sample_token" in caplog.text) == (scenes == 2)

@@ -72,9 +72,11 @@ def test_neighbours_fire_evenly_only_as_seen_from_their_laser(drive_0005):
     assert rest["axis"] > 0.2
 
 
-def test_its_points_are_raised_and_the_camera_sees_them_where_they_were(drive_0005):
+def test_its_points_are_raised_and_the_camera_sees_them_where_they_were(drive_0005, caplog):
     """By 0.205 degrees about the horizontal axis across each ray, as KISS-ICP does."""
-    dataset = open_dataset(drive_0005)
+    with caplog.at_level("INFO"):
+        dataset = open_dataset(drive_0005)
+    assert "points are raised by the 0.205 degrees" in caplog.text
     raw = np.fromfile(dataset.sweep_files(40)[0], np.float32).reshape(-1, 4)[:, :3]
     axes = np.cross(raw, [0, 0, 1])
     axes *= np.radians(0.205) / np.maximum(np.linalg.norm(axes, axis=1), 1e-9)[:, None]

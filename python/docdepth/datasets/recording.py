@@ -269,7 +269,14 @@ class Recording(DatasetRepr):
             points = {k: self._in_lidar_frame(cloud, k) for k, cloud in clouds.items()}
             if not number and self._settings.sensor_origin is None:
                 self._is_kitti_lidar = kitti_lidar.is_kitti_lidar(points.values())
-            if not number and self.elevation_error and "kitti" not in self.name:
+            if not number and self.elevation_error and "kitti" in self.name:
+                log.info(
+                    "%s: points are raised by the %.3f degrees that the calibration of KITTI's "
+                    "LiDAR lacks; if it was simulated, open the sweeps as a folder of point clouds "
+                    "whose docdepth.yaml says sensor_origin: [0, 0, 0]",
+                    self.path, np.degrees(self.elevation_error),
+                )  # fmt: skip
+            elif not number and self.elevation_error:
                 log.log(
                     NOTE,
                     "%s: points lie on the lasers of KITTI's LiDAR, whose calibration lacks %.3f "

@@ -6,6 +6,7 @@ The devkit is not needed. A root holds many scenes; the path of one is ``ROOT/SC
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -34,6 +35,8 @@ from docdepth.datasets.settings import RecordingSettings, read_settings
 from docdepth.errors import CalibrationError, DatasetError
 from docdepth.geometry.camera import camera_of
 from docdepth.geometry.se3 import inverse
+
+log = logging.getLogger(__name__)
 
 _UNPACK = "unpack the metadata of nuScenes again"
 _ROWS = packed(x="f4", y="f4", z="f4", intensity="f4", ring="f4")
@@ -166,7 +169,17 @@ def _find_scene(root: Path, name: str | None) -> tuple[Tables, str]:
 def _channels(tables: Tables, scene: str) -> dict[str, list[_Datum]]:
     """Rows of ``sample_data`` of a scene by sensor, in the order of time."""
     samples = {row.token for row in tables.rows("sample", _Sample) if row.scene_token == scene}
-    rows = [row for row in tables.rows("sample_data", _Datum) if row.sample_token in samples]
+    found = tables.rows("sample_data", _Datum)
+    rows = [row for row in found if row.sample_token in samples]
+    unknown = [row for row in found if not row.sample_token]
+    if unknown and len(tables.scenes) == 1:  # of which all are
+        rows += unknown
+    elif unknown:
+        log.warning(
+            "%s: %d of %d rows have no sample_token, so that their scene is not known, and are "
+            "left out; write that of the key frame after them",
+            tables.folder / "sample_data.json", len(unknown), len(found),
+        )  # fmt: skip
     places = tables.by_token(
         "calibrated_sensor", _Place, {row.calibrated_sensor_token for row in rows}
     )
