@@ -123,6 +123,7 @@ TEST_CASE("what moves is not thin and porous, or goes far") {
   CHECK(moves_if(0.66f, 0.55f, 0.11f, 20));       // a lorry with its trailer, several lengths on
   CHECK(moves_if(0.78f, 0.32f, 0.11f, 20, 2.5));  // its tractor, hidden at first
   CHECK_FALSE(moves_if(0.78f, 0.32f, 0.11f, 20, 2.85));  // hidden nearly all the way
+  CHECK_FALSE(moves_if(0.94f, 0.02f, 0.0f, 20));         // a scaffold, by 128 beams
 }
 
 TEST_CASE("what moves goes through places that were free before or after") {
