@@ -51,7 +51,9 @@ class StaticFrames:
                     name.lstrip("/") for name in (one.header.frame_id, one.child_frame_id)
                 )
                 try:
-                    parents.setdefault(child, {})[parent] = _rigid(one.transform)
+                    T, known = _rigid(one.transform), parents.setdefault(child, {})
+                    known.pop(parent, None)  # in the order in which they were sent last
+                    known[parent] = T
                     self._parents[child] = parent
                 except DatasetError as error:
                     log.warning(
