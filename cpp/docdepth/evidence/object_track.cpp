@@ -18,7 +18,8 @@ constexpr float kMovingFreeShare = 0.12f;
 constexpr float kSurelyTransientShare = 0.99f;
 /// A fence is thinner than this [m], and a larger share of it than this is porous. Those that seem
 /// to move are 0.21 m thick at most. People who walk in single file are as porous, but 0.26 m and
-/// more.
+/// more. Of what is thinner than half of it, a smaller share is enough, the thinner the less:
+/// nobody is as thin as a bar.
 constexpr float kMaxFenceWidth = 0.25f;
 constexpr float kMaxPorousShare = 1 / 3.0f;
 /// What is as thick and as high as somebody who walks [m], and goes where so large a share was
@@ -86,8 +87,9 @@ bool is_fence(const ObjectTrack& object) {
     area += seen.area;
     porous_area += seen.porous_area;
   }
-  return object.path.extent().size().head<2>().minCoeff() < kMaxFenceWidth &&
-         porous_area > kMaxPorousShare * area;
+  const float width = object.path.extent().size().head<2>().minCoeff();
+  const float thinness = std::min(1.0f, 2 * width / kMaxFenceWidth);
+  return width < kMaxFenceWidth && porous_area > kMaxPorousShare * thinness * area;
 }
 
 bool may_be_person(const TrackPath& path) {
