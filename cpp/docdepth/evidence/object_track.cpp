@@ -88,7 +88,7 @@ bool is_fence(const ObjectTrack& object) {
     porous_area += seen.porous_area;
   }
   const float width = object.path.extent().size().head<2>().minCoeff();
-  const float thinness = std::min(1.0f, 2 * width / kMaxFenceWidth);
+  const float thinness = std::min(1.0f, 4 * width / kMaxFenceWidth);
   return width < kMaxFenceWidth && porous_area > kMaxPorousShare * thinness * area;
 }
 
