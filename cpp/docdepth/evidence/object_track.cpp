@@ -87,9 +87,11 @@ bool is_fence(const ObjectTrack& object) {
     area += seen.area;
     porous_area += seen.porous_area;
   }
-  const float width = object.path.extent().size().head<2>().minCoeff();
+  const Eigen::Vector2f size = object.path.extent().size().head<2>();
+  const float width = size.minCoeff(), length = size.maxCoeff();
   const float thinness = std::min(1.0f, 4 * width / kMaxFenceWidth);
-  return width < kMaxFenceWidth && porous_area > kMaxPorousShare * thinness * area;
+  return width < (length < kMinCarLength ? kMaxFenceWidth : kMinVehicleWidth) &&
+         porous_area > kMaxPorousShare * thinness * area;
 }
 
 bool may_be_person(const TrackPath& path) {
