@@ -18,8 +18,9 @@ constexpr float kMovingFreeShare = 0.12f;
 constexpr float kSurelyTransientShare = 0.99f;
 /// A fence is thinner than this [m], and a larger share of it than this is porous. Those that seem
 /// to move are 0.21 m thick at most. People who walk in single file are as porous, but 0.26 m and
-/// more. Of what is thinner than half of it, a smaller share is enough, the thinner the less:
-/// nobody is as thin as a bar.
+/// more. Of what is thinner than a quarter of it, a smaller share is enough, the thinner the less:
+/// nobody is as thin as a bar. What is as long as a car (kMinCarLength) is a fence up to the width
+/// of a vehicle (kMinVehicleWidth).
 constexpr float kMaxFenceWidth = 0.25f;
 constexpr float kMaxPorousShare = 1 / 3.0f;
 /// What is as thick and as high as somebody who walks [m], and goes where so large a share was
