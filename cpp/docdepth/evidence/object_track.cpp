@@ -16,13 +16,20 @@ constexpr float kMovingFreeShare = 0.12f;
 /// Where this share is transient, the object moves in any case: of sparse ones it is not known
 /// which places were free (kMaxIsolatedShare).
 constexpr float kSurelyTransientShare = 0.99f;
-/// A fence is thinner than this [m], and a larger share of it than this is porous. Those that seem
-/// to move are 0.21 m thick at most. People who walk in single file are as porous, but 0.26 m and
-/// more. Of what is thinner than a quarter of it, a smaller share is enough, the thinner the less:
-/// nobody is as thin as a bar. What is as long as a car (kMinCarLength) is a fence up to the width
-/// of a vehicle (kMinVehicleWidth).
-constexpr float kMaxFenceWidth = 0.25f;
+/// A fence is flat: thinner than anybody [m], or than this share of its length. Something flat does
+/// not move where a larger share of it than this is porous, the thinner the less, or where less of
+/// it is transient: 0.67 at least of what was flat and did move. People in single file are as
+/// porous, but their thickness is 0.24 of their length and more.
+constexpr float kThinnestPerson = 0.12f;
+constexpr float kFlatness = 0.2f;
 constexpr float kMaxPorousShare = 1 / 3.0f;
+constexpr float kFlatTransientShare = 0.6f;
+/// What goes faster than somebody who runs [m/s] leaves its place at once, so that this share of
+/// it is found free at some time: 0.43 at least, of pieces of fences and hedges 0.35 at most. Most
+/// of it is transient, if it is as thin [m] as a piece of a fence of which sweeps hit other slats.
+constexpr float kRunning = 4;
+constexpr float kMinFoundFree = 0.4f;
+constexpr float kMaxSlatWidth = 0.25f;
 /// What is as thick and as high as somebody who walks [m], and goes where so large a share was
 /// found free at some time, moves, too: in single file others are at his places before and after.
 constexpr float kMinPersonWidth = 0.35f;
@@ -80,25 +87,34 @@ MovingShares shares_while_moving(const ObjectTrack& object, const std::vector<do
   return shares;
 }
 
-/// Whether it is thin, and rays hit and passed much of it in turn: a fence of which each sweep hits
-/// another part.
-bool is_fence(const ObjectTrack& object) {
+float width_of(const TrackPath& path) {
+  return path.extent().size().head<2>().minCoeff();
+}
+
+/// Whether it is flat, and rays hit and passed much of it in turn, or little is transient.
+bool is_fence(const ObjectTrack& object, const MovingShares& shares) {
   float area = 0, porous_area = 0;
   for (const TrackObservation& seen : object.track.observations) {
     area += seen.area;
     porous_area += seen.porous_area;
   }
-  const Eigen::Vector2f size = object.path.extent().size().head<2>();
-  const float width = size.minCoeff(), length = size.maxCoeff();
-  const float thinness = std::min(1.0f, 4 * width / kMaxFenceWidth);
-  return width < (length < kMinCarLength ? kMaxFenceWidth : kMinVehicleWidth) &&
-         porous_area > kMaxPorousShare * thinness * area;
+  const float width = width_of(object.path),
+              length = object.path.extent().size().head<2>().maxCoeff();
+  if (width >= std::max(kThinnestPerson, kFlatness * length)) return false;
+  const float thinness = std::min(1.0f, 2 * width / kThinnestPerson);
+  return porous_area > kMaxPorousShare * thinness * area || shares.transient < kFlatTransientShare;
+}
+
+/// Whether something so fast would have left its place, but was found there.
+bool stays(const ObjectTrack& object, const MovingShares& shares, double seconds) {
+  if (object.path.distance() < kRunning * float(seconds)) return false;
+  return shares.found_free < kMinFoundFree ||
+         (width_of(object.path) < kMaxSlatWidth && shares.transient < kMinFreeShare);
 }
 
 bool may_be_person(const TrackPath& path) {
   const Eigen::Vector3f size = path.extent().size();
-  return !path.is_rigid() && size.head<2>().minCoeff() >= kMinPersonWidth &&
-         size.z() >= kMinPersonHeight;
+  return !path.is_rigid() && width_of(path) >= kMinPersonWidth && size.z() >= kMinPersonHeight;
 }
 
 }  // namespace
@@ -117,8 +133,7 @@ bool is_rail(const TrackPath& path) {
 
 bool is_vehicle(const TrackPath& path) {
   const Eigen::Vector3f size = path.extent().size();
-  return path.is_rigid() && size.head<2>().minCoeff() >= kMinVehicleWidth &&
-         size.z() >= kMinVehicleHeight;
+  return path.is_rigid() && width_of(path) >= kMinVehicleWidth && size.z() >= kMinVehicleHeight;
 }
 
 bool drives_far(const TrackPath& path) {
@@ -133,15 +148,15 @@ bool moves(const ObjectTrack& object, const std::vector<double>& times,
   if (track.transient_count < options.min_detections) return false;
   const MovingShares shares = shares_while_moving(object, times);
   if (drives_far(path) && shares.transient >= kMovingFreeShare) return true;
-  if (is_fence(object)) return false;
+  if (is_fence(object, shares)) return false;
+  const double seconds =
+      times[track.observations.back().sweep] - times[track.observations.front().sweep];
   const float distance = path.distance();
-  if (distance >= options.min_distance &&
+  if (distance >= options.min_distance && !stays(object, shares, seconds) &&
       (shares.free >= kMovingFreeShare || shares.transient >= kSurelyTransientShare ||
        (may_be_person(path) && shares.found_free >= kFoundFreeInFile)))
     return true;
   // In less than a second, somebody may walk and not leave his place.
-  const double seconds =
-      times[track.observations.back().sweep] - times[track.observations.front().sweep];
   if (distance >= kSamePlace * std::clamp(seconds, 0.5, 1.0) && shares.free >= kMinFreeShare)
     return true;
   return is_vehicle(path) && appears(track.observations, times, options.min_detections);
