@@ -16,6 +16,9 @@ using Vector = Eigen::Vector3f;
 
 /// Of an object that was always there edges seem free, at most this share of its area.
 constexpr float kFreeEdges = 0.15f;
+/// Of somebody in single file this share was found free at some time, if he lies in the box of his
+/// track: the first and the last sweeps see less than half.
+constexpr float kPersonFreeShare = 0.35f;
 
 }  // namespace
 
@@ -136,11 +139,12 @@ bool TrackEvidence::drives_over(const Detection& object, double time) const {
          lies_there(object, time, kObjectMargin);
 }
 
-/// Whether the object moves where most of a detection was found free. Where people walk in single
+/// Whether the object moves where much of a detection was found free. Where people walk in single
 /// file, as many key frames find the place of each occupied as free.
 bool TrackEvidence::goes_through(const Detection& object, double time) const {
-  return object_.path.speed(time) >= kStanding &&
-         object.found_free_area() >= kMinFreeShare * object.area;
+  const bool in_file = !object_.path.is_rigid() && lies_there(object, time, kObjectMargin);
+  const float share = in_file ? kPersonFreeShare : kMinFreeShare;
+  return object_.path.speed(time) >= kStanding && object.found_free_area() >= share * object.area;
 }
 
 /// Whether the place of a detection was free before or after: by its own votes, or as it was

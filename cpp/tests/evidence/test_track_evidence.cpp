@@ -196,6 +196,19 @@ TEST_CASE(
   CHECK(!is_dynamic(2.5, 0.6f, false));
 }
 
+TEST_CASE("of somebody in single file a third was free at some time, if he lies in his box") {
+  const auto is_dynamic = [](float porous, double y, float width = 0.6f) {
+    const TrackEvidence of{car(0, 10, 0, width, 4), 1, exact::stamps(kSweeps), {}};
+    Detection seen = exact::detection(exact::box(pose_at(place(2.5), y), 0.5, 0.5), 0);
+    seen.porous_area = porous * seen.area;
+    return makes_dynamic(of, 2.5, seen);
+  };
+  CHECK(is_dynamic(0.45f, 0));
+  CHECK(!is_dynamic(0.3f, 0));
+  CHECK(!is_dynamic(0.45f, 0.6));      // half of it lies beside him
+  CHECK(!is_dynamic(0.45f, 0, 1.8f));  // within a vehicle
+}
+
 TEST_CASE("where a vehicle drives that goes several lengths, nothing stands") {
   const auto is_dynamic = [](double time, double x, double y) {
     const TrackEvidence of{car(0, 20), 1, exact::stamps(kSweeps), {}};
