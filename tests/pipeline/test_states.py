@@ -22,7 +22,7 @@ from docdepth.io.recorded_folder import RecordedFolder
 from docdepth.io.run_folder import RunFolder
 from docdepth.pipeline import run_classify, run_odometry
 from docdepth.pipeline.cameras import virtual_camera
-from docdepth.pipeline.depth_files import DepthFiles
+from docdepth.pipeline.depth_files import DepthImage
 from docdepth.pipeline.plan import require, states
 from docdepth.pipeline.render_again import render_again
 from docdepth.pipeline.run import continue_run, run
@@ -292,7 +292,7 @@ def test_nothing_stays_of_a_camera_without_a_map(tmp_path: Path) -> None:
     world = World(tmp_path)
     before = set(world.results())
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(DepthFiles, "write", Mock(side_effect=DocDepthError("too deep")))
+        patch.setattr(DepthImage, "write", Mock(side_effect=DocDepthError("too deep")))
         with pytest.raises(DocDepthError, match="too deep"):
             render_again(world.run, {}, "image_3", threads=1)
     assert "image_3" not in RunFolder.open(world.run).cameras

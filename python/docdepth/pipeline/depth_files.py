@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth._core import __version__
-from docdepth.config import Parameters
+from docdepth.config import OutputParameters, Parameters
 from docdepth.datasets.base import CameraStream
-from docdepth.datasets.files import suggest_skipping
-from docdepth.errors import DatasetError, Finding
+from docdepth.datasets.files import ImageSource, suggest_skipping
+from docdepth.errors import Finding
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.atomic import npz_bytes
 from docdepth.io.calibration import EXTRINSICS, INTRINSICS, write_calibration
-from docdepth.io.depth import DESCRIPTION, FORMATS, as_stored, encode_depth, read_depth
+from docdepth.io.depth import DESCRIPTION, FORMATS, encode_depth, read_depth
 from docdepth.io.frames import write_trajectory
 from docdepth.io.images import PICTURE, encode_image
 from docdepth.io.run_folder import RunFolder
@@ -32,153 +32,76 @@ from docdepth.visualization.pictures import overlay
 _LEAST_DENSITY = 0.05  # mean share of pixels with depth: 0.5 to 0.8
 
 
+def image_files(
+    run: RunFolder, folder: str, name: str, output: OutputParameters
+) -> dict[str, Path]:
+    """All files of an image: ``report``, ``layers``, and a depth map of each format.
+
+    Depth maps come last, so that they mark the image as done.
+    """
+    places = {"report": ("report", ".jpg"), "layers": ("layers", ".npz")}
+    if not output.layers:
+        del places["layers"]
+    places |= {format: ("depth", FORMATS[format]) for format in output.format}
+    return {what: run.path / kind / folder / f"{name}{end}" for what, (kind, end) in places.items()}
+
+
 @dataclass(frozen=True)
 class DepthFiles:
     """The files of one camera: depth maps, layers, pictures and their description."""
 
-    run: RunFolder
-    stream: CameraStream
+    camera: CameraStream  # without its images, of which there may be many
     # its folder in ``depth/``, ``layers/`` and ``report/``; empty for the first camera of a run
     folder: str
     parameters: Parameters
     key: str = ""  # hash of all that the maps are made of; needed to write
-    # the identity of each image, which the pictures show; needed to write
-    images: dict[int, str] = field(default_factory=dict)
-    # share of pixels with depth of each image that is done
-    coverage: dict[int, float] = field(default_factory=dict)
-
-    def of(self, indices: Sequence[int]) -> DepthFiles:
-        """The files of some images, numbered anew: what a worker needs to know."""
-        stream, images = self.stream, self.stream.images
-        part = replace(
-            stream,
-            times=stream.times[indices],
-            names=[stream.names[k] for k in indices],
-            images=[images[k] for k in indices] if images else [],
-        )
-        return replace(
-            self,
-            stream=part,
-            images={n: self.images[k] for n, k in enumerate(indices)},
-            coverage={},
-        )
 
     @property
     def layers_key(self) -> dict[str, str]:
         """What the records of layers and of the description name beside."""
         return {"layers": ",".join(self.parameters.output.layers)}
 
-    def left(self, index: int) -> list[str]:
-        """Those of :meth:`files` that are not up to date."""
-        return [
-            what
-            for what, path in self.files(index).items()
-            if self.run.key(path) != self._key(index, what)
-        ]
-
-    def _key(self, index: int, what: str) -> dict[str, str]:
-        key = {"render": self.key, "image": self.images[index]}
-        return key | self.layers_key if what == "layers" else key
-
-    def shares(self) -> list[float]:
-        """The coverage of the images that are done, in order."""
-        return [share for _, share in sorted(self.coverage.items())]
-
-    def files(self, index: int) -> dict[str, Path]:
-        """All files of an image: ``report``, ``layers``, and a depth map of each format.
-
-        Depth maps come last, so that they mark the image as done.
-        """
-        name, output = self.stream.names[index], self.parameters.output
-        places = {"report": ("report", ".jpg"), "layers": ("layers", ".npz")}
-        if not output.layers:
-            del places["layers"]
-        places |= {format: ("depth", FORMATS[format]) for format in output.format}
-        return {
-            what: self.run.path / folder / self.folder / f"{name}{suffix}"
-            for what, (folder, suffix) in places.items()
-        }
-
-    def once(self) -> list[Path]:
+    def once(self, run: RunFolder) -> list[Path]:
         """The files of the camera itself: description, calibration, trajectory and tracks."""
-        folder = self.run.calibration_folder(self.folder)
+        folder = run.calibration_folder(self.folder)
         names = (INTRINSICS, EXTRINSICS, "traj_camera.ply", KITTI_TRACKS)
-        description = self.run.path / "depth" / self.folder / DESCRIPTION
+        description = run.path / "depth" / self.folder / DESCRIPTION
         return [description, *(folder / name for name in names)]
 
-    def folders(self) -> list[Path]:
-        """Where the files of images lie."""
-        return [self.run.path / kind / self.folder for kind in ("depth", "report", "layers")]
-
-    def find_coverage(self, index: int) -> bool:
-        """Note the coverage of a map that is done; False if it cannot be read after all."""
-        try:
-            self.coverage[index] = _share_with_depth(self.depth(index))
-        except DatasetError:
-            return False
-        return True
-
-    def depth(self, index: int) -> NDArray[np.float32]:
-        """Read the depth map of an image, of several formats the most exact."""
-        return read_depth(self.files(index)[self._exact], self.parameters.output.scale)
-
-    def as_stored(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
-        """A depth map as :meth:`depth` reads it."""
-        return as_stored(depth, self._exact, self.parameters.output.scale)
-
-    @property
-    def _exact(self) -> str:
-        return max(self.parameters.output.format, key=list(FORMATS).index)
-
-    def write_camera(self, trajectory: Trajectory, tracks: Iterable[Track]) -> None:
+    def write_camera(
+        self,
+        run: RunFolder,
+        images: Sequence[DepthImage],
+        trajectory: Trajectory,
+        tracks: Iterable[Track],
+    ) -> None:
         """Write the calibration, the LiDAR's poses at the times of the images (paper V-A), and
-        where the images show tracks."""
-        indices = np.array(sorted(self.images, key=lambda k: int(self.stream.times[k])))
-        times = self.stream.times[indices]
+        where the images, in order of time, show tracks."""
+        indices = np.array([image.index for image in images])
+        times = np.array([image.time for image in images])
         poses = Trajectory(times, trajectory.interpolate(times))
-        stream, write = self.stream, self.run.writer({"render": self.key})
-        folder = self.run.calibration_folder(self.folder)
-        distortion = stream.distortion_coefficients
+        camera, write = self.camera, run.writer({"render": self.key})
+        folder = run.calibration_folder(self.folder)
+        distortion = camera.distortion_coefficients
         write_calibration(
-            folder, stream.camera, stream.T_camera_lidar, distortion, stream.model, write
+            folder, camera.camera, camera.T_camera_lidar, distortion, camera.model, write
         )
         write_trajectory(folder / "traj_camera.ply", poses, indices, write)
-        T_world_camera = Trajectory(poses.times, poses.poses @ inverse(stream.T_camera_lidar))
+        T_world_camera = Trajectory(poses.times, poses.poses @ inverse(camera.T_camera_lidar))
         path = folder / KITTI_TRACKS
-        write_kitti_tracking(path, tracks, stream.camera, T_world_camera, indices, write)
+        write_kitti_tracking(path, tracks, camera.camera, T_world_camera, indices, write)
 
-    def write(
-        self, index: int, depth: NDArray[np.float32], layers: dict[str, NDArray[Any]]
-    ) -> float:
-        """Write all files of an image that are not up to date.
-
-        Returns
-        -------
-        float
-            Share of pixels with depth.
-        """
-        for what in self.left(index):
-            path, key = self.files(index)[what], self._key(index, what)
-            if what == "report":
-                with suggest_skipping():
-                    image = self.stream.rectified_image(index)
-                content = encode_image(overlay(depth, image), ".jpg", *PICTURE)
-            elif what == "layers":
-                content = npz_bytes(compressed=True, **layers)
-            else:
-                content = encode_depth(depth, what, self.parameters.output.scale)
-            self.run.write(path, content, key)
-        return _share_with_depth(depth)
-
-    def describe(self, complete: bool = True) -> None:
+    def describe(self, run: RunFolder, maps: Mapping[DepthImage, float], complete: bool) -> None:
         """Write ``depth.json``: unit, camera, parameters, and time and coverage of each map.
 
         Parameters
         ----------
+        maps : dict of DepthImage to float
+            Share of pixels with depth of each image that is done.
         complete : bool
             All maps are there. Otherwise the description is written again later.
         """
-        stream, output = self.stream, self.parameters.output
+        camera, output = self.camera, self.parameters.output
         description = {
             "depth": "z along the optical axis of the rectified camera; file = metres x scale",
             "unit": "m",
@@ -186,28 +109,75 @@ class DepthFiles:
             "none": {f: 0 if f == "png" else "NaN" for f in output.format},
             "range": [NEAR, self.parameters.render.max_depth],
             "camera": {
-                "name": stream.name,
-                **stream.camera.as_dict(),
-                "T_camera_lidar": stream.T_camera_lidar.tolist(),
-                "distortion_of_images": stream.distortion_coefficients,
+                "name": camera.name,
+                **camera.camera.as_dict(),
+                "T_camera_lidar": camera.T_camera_lidar.tolist(),
+                "distortion_of_images": camera.distortion_coefficients,
             },
             "layers": list(output.layers),
             "pixels": "integer coordinates are pixel centres (OpenCV)",
             "docdepth": __version__,
             "parameters": self.parameters.model_dump(mode="json"),
             "maps": {
-                stream.names[k]: {"time_ns": int(stream.times[k]), "coverage": round(share, 6)}
-                for k, share in sorted(self.coverage.items())
+                image.name: {"time_ns": image.time, "coverage": round(share, 6)}
+                for image, share in sorted(maps.items(), key=lambda one: one[0].index)
             },
         }
         content = json.dumps(description, indent=1).encode()
-        path = self.run.path / "depth" / self.folder / DESCRIPTION
         key = {"render": self.key, **self.layers_key} if complete else {"incomplete": self.key}
-        self.run.write(path, content, key)
+        run.write(run.path / "depth" / self.folder / DESCRIPTION, content, key)
 
 
-def _share_with_depth(depth: NDArray[np.float32]) -> float:
-    return float(np.isfinite(depth).mean())
+@dataclass(frozen=True, eq=False)
+class DepthImage:
+    """One image and its files: all that a worker needs to know of it."""
+
+    of: DepthFiles  # of its camera
+    index: int  # in its camera
+    time: int  # nanoseconds
+    name: str
+    source: ImageSource | None  # None if the image is not on disk
+    identity: str  # of the image, which the picture shows
+
+    def files(self, run: RunFolder) -> dict[str, Path]:
+        """All files, as :func:`image_files` names them."""
+        return image_files(run, self.of.folder, self.name, self.of.parameters.output)
+
+    def left(self, run: RunFolder) -> dict[str, dict[str, str]]:
+        """Those of :meth:`files` that are not up to date, and what they are to be made of."""
+        key = {"render": self.of.key, "image": self.identity}
+        keys = {what: key for what in self.files(run)}
+        if "layers" in keys:
+            keys["layers"] = key | self.of.layers_key
+        return {k: keys[k] for k, path in self.files(run).items() if run.key(path) != keys[k]}
+
+    @property
+    def exact(self) -> str:
+        """Of several formats the most exact, which :meth:`depth` reads."""
+        return max(self.of.parameters.output.format, key=list(FORMATS).index)
+
+    def depth(self, run: RunFolder) -> NDArray[np.float32]:
+        """Read the depth map."""
+        return read_depth(self.files(run)[self.exact], self.of.parameters.output.scale)
+
+    def write(
+        self, run: RunFolder, depth: NDArray[np.float32], layers: dict[str, NDArray[Any]]
+    ) -> None:
+        """Write all files that are not up to date."""
+        files = self.files(run)
+        for what, key in self.left(run).items():
+            if what == "report":
+                images = [] if self.source is None else [self.source]
+                times = np.array([self.time])
+                alone = replace(self.of.camera, times=times, names=[self.name], images=images)
+                with suggest_skipping():
+                    image = alone.rectified_image(0)
+                content = encode_image(overlay(depth, image), ".jpg", *PICTURE)
+            elif what == "layers":
+                content = npz_bytes(compressed=True, **layers)
+            else:
+                content = encode_depth(depth, what, self.of.parameters.output.scale)
+            run.write(files[what], content, key)
 
 
 def find_empty_maps(coverage: Sequence[float], camera: str) -> list[Finding]:

@@ -18,7 +18,7 @@ from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.tracks import TRACKS
 from docdepth.io.untrusted import open_file
 from docdepth.pipeline.cameras import RunCamera, run_cameras
-from docdepth.pipeline.depth_files import DepthFiles
+from docdepth.pipeline.depth_files import DepthFiles, image_files
 from docdepth.pipeline.label_folder import LabelFolder
 from docdepth.pipeline.run_inputs import known_poses, open_recording
 from docdepth.pipeline.stage import FrameOutputs, Stage, StageInputs, StageState
@@ -268,7 +268,7 @@ def render_stage(
             "T_camera_lidar": stream.T_camera_lidar.tolist(),
         },
     }
-    files = DepthFiles(run, stream, camera.folder, p)
+    files = DepthFiles(stream, camera.folder, p)
     identities = input_files.images(stream)
     inside = np.ones(len(stream.times), bool)
     if times is not None:
@@ -279,15 +279,15 @@ def render_stage(
         inputs,
         [
             FrameOutputs(
-                [*files.files(k).values()],
+                [*image_files(run, camera.folder, stream.names[k], p.output).values()],
                 {"image": identities[k]},
                 stream.images[k].name if stream.images else "",
                 k,
             )
             for k in np.flatnonzero(inside).tolist()
         ],
-        files.once(),
-        files.folders(),
+        files.once(run),
+        [run.path / kind / camera.folder for kind in ("depth", "report", "layers")],
         previous=classify,
         also=files.layers_key,
         reasons={"times": "the times of the images have changed"},

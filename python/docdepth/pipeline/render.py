@@ -4,27 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack
-from dataclasses import dataclass
-from functools import cached_property, partial
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.concurrency import Progress, Timer, null_progress
+from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets.base import CameraStream
-from docdepth.diagnostics.calibration import check_camera_calibration, edges_of_images
+from docdepth.diagnostics.calibration import RunEdges, check_camera_calibration, edges_of_images
 from docdepth.errors import DatasetError
 from docdepth.geometry.camera import View
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
-from docdepth.io.depth import check_format
+from docdepth.io.depth import as_stored, check_format
 from docdepth.io.run_folder import RunFolder
 from docdepth.io.tracks import tracks_in
 from docdepth.pipeline.cameras import RunCamera, add_cameras, camera_parameters
-from docdepth.pipeline.depth_files import DepthFiles, find_empty_maps
+from docdepth.pipeline.depth_files import DepthFiles, DepthImage, find_empty_maps
 from docdepth.pipeline.parallel import ChunkContext, WorkerPool
 from docdepth.pipeline.plan import render_stage, require
 from docdepth.pipeline.run_inputs import cameras_at_hand
@@ -39,85 +39,48 @@ from docdepth.visualization.report import index_is_whole, write_report
 
 
 @dataclass(frozen=True)
-class ImageToRender:
-    """One image: its time [ns], the files of its camera, and its index in that camera."""
+class _CameraToRender:
+    """A camera and what there is to do for it."""
 
-    time: int
+    stream: CameraStream
     files: DepthFiles
-    index: int
+    stage: Stage
+    images: list[DepthImage]  # within the trajectory, by time
+    shares: dict[DepthImage, float]  # share of pixels with depth of each image that is done
+    left_out: list[str]  # images outside the trajectory
 
 
-@dataclass(frozen=True)
-class RenderPlan:
-    """What the stage has to do."""
-
-    files: list[DepthFiles]  # one for each camera
-    stages: list[Stage]  # the stage of each camera
-    # images within the trajectory, by time: cameras share the sweeps of one time
-    images: list[ImageToRender]
-    left: list[ImageToRender]  # those that are not done
-    left_out: dict[str, list[str]]  # by camera: images outside the trajectory
-    trajectory: Trajectory
-
-    @cached_property
-    def tracks(self) -> Tracks:
-        """All tracks of the run."""
-        return tracks_in(self.files[0].run.path)
-
-    def tracks_for(self, images: Sequence[ImageToRender]) -> Tracks:
-        """The tracks with which some images, in order of time, are drawn."""
-        first, last, drawing = images[0].time, images[-1].time, images[0].files.parameters.render
-        low, high = times_needed(self.trajectory, first, last, drawing, self.tracks)
-        return Tracks(
-            self.tracks.between(
-                min(low, first - EXTRAPOLATION_NS), max(high, last + EXTRAPOLATION_NS)
-            )
+def _plan_camera(
+    run: RunFolder, camera: RunCamera, trajectory: Trajectory, stage: Stage | None
+) -> _CameraToRender:
+    """Check the parameters and list the images of a camera; read maps that are done."""
+    stream, parameters = camera.stream, camera.parameters
+    for format in parameters.output.format:
+        check_format(format, parameters.output.scale, parameters.render.max_depth)
+    check_layers(parameters.output.layers, parameters.render)
+    stage = stage or render_stage(run, camera, trajectory.times)
+    if not stage.frames:
+        raise DatasetError(
+            f"none of the {len(stream.names)} images of {stream.name} lies between the first "
+            "and the last sweep; are camera and LiDAR on one clock?",
+            "give other times by `camera_times`",
+            code="image-times",
         )
-
-
-def plan_render(
-    run: RunFolder, cameras: Sequence[RunCamera], stages: Mapping[str, Stage] | None = None
-) -> RenderPlan:
-    """Check the parameters and list the images of cameras that are drawn alike.
-
-    ``stages`` are those of :func:`~.plan.render_stage` by name, as far as they are known.
-    """
-    for camera in cameras:
-        drawing, output = camera.parameters.render, camera.parameters.output
-        for format in output.format:
-            check_format(format, output.scale, drawing.max_depth)
-        check_layers(output.layers, drawing)
-    found = RenderPlan([], [], [], [], {}, run.trajectory())
-    for camera in cameras:
-        stream = camera.stream
-        stage = (stages or {}).get(f"render {stream.name}")
-        stage = stage or render_stage(run, camera, found.trajectory.times)
-        identities = {outputs.index: outputs.made_of["image"] for outputs in stage.frames}
-        if not identities:
-            raise DatasetError(
-                f"none of the {len(stream.names)} images of {stream.name} lies between the first "
-                "and the last sweep; are camera and LiDAR on one clock?",
-                "give other times by `camera_times`",
-                code="image-times",
-            )
-        folder, parameters = camera.folder, camera.parameters
-        files = DepthFiles(run, stream, folder, parameters, stage.key, identities)
-        images = [ImageToRender(int(stream.times[k]), files, k) for k in identities]
-        left = set(stage.left())
-        found.images.extend(images)
-        found.left.extend(
-            image
-            for n, image in enumerate(images)
-            if n in left or not files.find_coverage(image.index)
-        )
-        found.left_out[stream.name] = [
-            name for k, name in enumerate(stream.names) if k not in identities
-        ]
-        found.files.append(files)
-        found.stages.append(stage)
-    for some in found.images, found.left:
-        some.sort(key=lambda image: image.time)
-    return found
+    alone = replace(stream, times=stream.times[:0], names=[], images=[])
+    files = DepthFiles(alone, camera.folder, parameters, stage.key)
+    images, shares, left = [], {}, set(stage.left())
+    for n, outputs in enumerate(stage.frames):
+        k = outputs.index
+        source = stream.images[k] if stream.images else None
+        time, identity = int(stream.times[k]), outputs.made_of["image"]
+        images.append(DepthImage(files, k, time, stream.names[k], source, identity))
+        if n not in left:
+            with suppress(DatasetError):  # of a map that cannot be read after all
+                shares[images[n]] = _share_with_depth(images[n].depth(run))
+    images.sort(key=lambda image: image.time)
+    inside = {image.index for image in images}
+    left_out = [name for k, name in enumerate(stream.names) if k not in inside]
+    return _CameraToRender(stream, files, stage, images, shares, left_out)
 
 
 def run_render(
@@ -158,13 +121,17 @@ def run_render(
             drawn_alike.setdefault(parameters.render.model_dump_json(), []).append(camera)
         left_out: list[str] = []
         before = dict(run.manifest.stages)
+        trajectory = run.trajectory()
         for alike in drawn_alike.values():
-            plan = plan_render(run, alike, stages)
-            _render_cameras(plan, workers, progress, renderer)
+            plans = [
+                _plan_camera(run, c, trajectory, (stages or {}).get(f"render {c.stream.name}"))
+                for c in alike
+            ]
+            _render_cameras(run, plans, trajectory, workers, progress, renderer)
             left_out += [
-                f"{name}/{image}" if len(run.cameras) > 1 else image
-                for name, images in plan.left_out.items()
-                for image in images
+                f"{plan.stream.name}/{image}" if len(run.cameras) > 1 else image
+                for plan in plans
+                for image in plan.left_out
             ]
         if before != run.manifest.stages or not index_is_whole(run):
             opened = {stream.name: stream for stream in streams}
@@ -189,60 +156,95 @@ def report(run: RunFolder) -> Path:
 
 
 def _render_cameras(
-    plan: RenderPlan, workers: WorkerPool, progress: Progress, renderer: Renderer
+    run: RunFolder,
+    plans: Sequence[_CameraToRender],
+    trajectory: Trajectory,
+    workers: WorkerPool,
+    progress: Progress,
+    renderer: Renderer,
 ) -> None:
-    images, run = plan.left, plan.stages[0].run
-    if not images and all(stage.is_made_once() for stage in plan.stages):
+    """Render the images of cameras that are drawn alike, by time: they share sweeps."""
+    total = sum(len(plan.images) for plan in plans)
+    images = [image for plan in plans for image in plan.images if image not in plan.shares]
+    images.sort(key=lambda image: image.time)
+    if not images and all(plan.stage.is_made_once() for plan in plans):
         return
+    tracks = tracks_in(run.path)
     with ExitStack() as working:
         profiles: list[Profile] = []
-        for files, stage in zip(plan.files, plan.stages, strict=True):
-            profile = working.enter_context(stage.working())
-            profile.more["left_out"] = plan.left_out[files.stream.name]
+        for plan in plans:
+            profile = working.enter_context(plan.stage.working())
+            profile.more["left_out"] = plan.left_out
             profile.more["renderer"] = f"{renderer.name}: {renderer.description}"
-            profile.frames = sum(image.files is files for image in images)
+            profile.frames = len(plan.images) - len(plan.shares)
             profile.timer = profiles[0].timer if profiles else profile.timer
-            profile.share = len(stage.frames) / len(plan.images)
+            profile.share = len(plan.images) / total
             profiles.append(profile)
-            stage.remove_outdated()
-            files.describe(complete=False)
-        for files in plan.files:
-            files.write_camera(plan.trajectory, plan.tracks.values())
-        kept, total = len(plan.images) - len(images), len(plan.images)
+            plan.stage.remove_outdated()
+            plan.files.describe(run, plan.shares, complete=False)
+        for plan in plans:
+            plan.files.write_camera(run, plan.images, trajectory, tracks.values())
+        kept = total - len(images)
         progress("render", kept, total)
-        work = partial(_render_images, renderer)
-        chunks = workers.cut(images, plan.trajectory.arc_length_at([i.time for i in images]))
-        parts = [_RenderChunk(_split_by_camera(some), plan.tracks_for(some)) for some in chunks]
+        chunks = [
+            _RenderChunk(some, _tracks_for(some, trajectory, tracks))
+            for some in workers.cut(images, trajectory.arc_length_at([i.time for i in images]))
+        ]
         rendered = workers.map_frames(
             run,
-            work,
-            parts,
+            partial(_render_images, renderer),
+            chunks,
             profiles[0].timer,
             lambda done: progress("render", kept + done, total),
-            lambda part: len(part.images),
+            lambda chunk: len(chunk.images),
         )
-        for number, shares in rendered:
-            for image, share in zip(chunks[number], shares, strict=True):
-                image.files.coverage[image.index] = share
-        for files, profile in zip(plan.files, profiles, strict=True):
-            files.describe()
-            profile.more["density"] = float(np.mean(files.shares()))
-            profile.add(find_empty_maps(files.shares(), files.stream.name))
+        shares: dict[DepthImage, float] = {}
+        for number, found in rendered:
+            shares.update(zip(chunks[number].images, found, strict=True))
+        for plan, profile in zip(plans, profiles, strict=True):
+            plan.shares.update((i, shares[i]) for i in plan.images if i in shares)
+            plan.files.describe(run, plan.shares, complete=True)
+            done = sorted(plan.shares, key=lambda image: image.index)
+            density = [plan.shares[image] for image in done]
+            profile.more["density"] = float(np.mean(density))
+            profile.add(find_empty_maps(density, plan.stream.name))
             profile.more["calibration"] = None
             # Splats reach over edges.
-            if files.stream.images and files.parameters.render.primitive != "splats":
-                done, poses, tracks = sorted(files.coverage), plan.trajectory, plan.tracks
-                edges = edges_of_images(run.path, files.stream, done, files.depth, poses, tracks)
-                profile.more["calibration"], found = check_camera_calibration(edges)
-                profile.add(found)
+            if plan.stream.images and plan.files.parameters.render.primitive != "splats":
+                edges = _edges_of(run, plan.stream, done, trajectory, tracks)
+                profile.more["calibration"], findings = check_camera_calibration(edges)
+                profile.add(findings)
+
+
+def _edges_of(
+    run: RunFolder,
+    stream: CameraStream,
+    images: Sequence[DepthImage],
+    trajectory: Trajectory,
+    tracks: Tracks,
+) -> RunEdges:
+    maps = {image.index: image for image in images}
+
+    def depth(index: int) -> NDArray[np.float32]:
+        return maps[index].depth(run)
+
+    return edges_of_images(run.path, stream, list(maps), depth, trajectory, tracks)
 
 
 @dataclass(frozen=True)
 class _RenderChunk:
     """Images that are rendered one after the other, and the tracks with which they are drawn."""
 
-    images: list[ImageToRender]
+    images: list[DepthImage]
     tracks: Tracks
+
+
+def _tracks_for(images: Sequence[DepthImage], trajectory: Trajectory, tracks: Tracks) -> Tracks:
+    """The tracks with which some images, in order of time, are drawn."""
+    first, last, drawing = images[0].time, images[-1].time, images[0].of.parameters.render
+    low, high = times_needed(trajectory, first, last, drawing, tracks)
+    low, high = min(low, first - EXTRAPOLATION_NS), max(high, last + EXTRAPOLATION_NS)
+    return Tracks(tracks.between(low, high))
 
 
 def _render_images(renderer: Renderer, context: ChunkContext, chunk: _RenderChunk) -> list[float]:
@@ -254,11 +256,11 @@ def _render_images(renderer: Renderer, context: ChunkContext, chunk: _RenderChun
         Share of pixels with depth of each.
     """
     run, timer, images, tracks = context.run, context.timer, chunk.images, chunk.tracks
-    trajectory, p = run.trajectory(), images[0].files.parameters.render
-    streams = [image.files.stream for image in images]
+    trajectory, p = run.trajectory(), images[0].of.parameters.render
+    cameras = [image.of.camera for image in images]
     views = [
-        View.at(stream.camera, stream.T_camera_lidar, trajectory, image.time)
-        for stream, image in zip(streams, images, strict=True)
+        View.at(camera.camera, camera.T_camera_lidar, trajectory, image.time)
+        for camera, image in zip(cameras, images, strict=True)
     ]
     is_drawn = TracksInView(tracks, trajectory, views).draws
 
@@ -268,55 +270,39 @@ def _render_images(renderer: Renderer, context: ChunkContext, chunk: _RenderChun
         with timer("frames"):
             return prepare_sweep(frame, index, trajectory, p, tracks, whole, is_drawn)
 
+    def write(image: DepthImage, depth: NDArray[np.float32], layers: dict[str, Any]) -> float:
+        with timer("write"):
+            image.write(run, depth, layers)
+        return _share_with_depth(depth)
+
     cache = SweepCache(load)
-    shares: list[float] = []
+    writing: list[Future[float]] = []
     with ThreadPoolExecutor(2) as pool:
-        writing: Future[float] | None = None
         needed: list[dict[int, bool]] = []
         for done, image in enumerate(images):
             needed = needed[1:]
             for coming in images[done + len(needed) : done + 2]:
                 needed.append(needed_sweeps(trajectory, coming.time, p, tracks))
-            files, index = image.files, image.index
             requested = cache.request({one for some in needed for one in some.items()}, pool)
             with timer("wait for frames"):
                 sweeps = {i: requested[i, whole].result() for i, whole in needed[0].items()}
-            left, layers = files.left(index), dict[str, NDArray[Any]]()
+            output, left, layers = image.of.parameters.output, image.left(run), {}
             with timer("draw"):
                 drawn = render_list(views[done], trajectory, sweeps.__getitem__, p, tracks)
-                if left == ["layers"]:
-                    depth = files.depth(index)
+                if [*left] == ["layers"]:
+                    depth = image.depth(run)
                 else:
                     depth = compose_depth(drawn, context.threads, renderer)
             if "layers" in left:
-                names, stored = files.parameters.output.layers, files.as_stored(depth)
+                stored = as_stored(depth, image.exact, output.scale)
                 with timer("layers"):
-                    layers = compose_layers(names, stored, drawn, context.threads)
+                    layers = compose_layers(output.layers, stored, drawn, context.threads)
             if writing:
-                shares.append(writing.result())
-            writing = pool.submit(_write, image, depth, layers, timer)
+                writing[-1].result()  # one map at a time waits to be written
+            writing.append(pool.submit(write, image, depth, layers))
             context.progress(done + 1)
-        if writing:
-            shares.append(writing.result())
-    return shares
+        return [one.result() for one in writing]
 
 
-def _split_by_camera(images: list[ImageToRender]) -> list[ImageToRender]:
-    """Some images, each with the files of its camera for these images alone."""
-    found = list(images)
-    for files in {id(image.files): image.files for image in images}.values():
-        numbers = [n for n, image in enumerate(images) if image.files is files]
-        part = files.of([images[n].index for n in numbers])
-        for k, n in enumerate(numbers):
-            found[n] = ImageToRender(images[n].time, part, k)
-    return found
-
-
-def _write(
-    image: ImageToRender,
-    depth: NDArray[np.float32],
-    layers: dict[str, NDArray[Any]],
-    timer: Timer,
-) -> float:
-    with timer("write"):
-        return image.files.write(image.index, depth, layers)
+def _share_with_depth(depth: NDArray[np.float32]) -> float:
+    return float(np.isfinite(depth).mean())
