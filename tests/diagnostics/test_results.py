@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from docdepth.diagnostics.sweeps import find_lonely_returns, spread
+from docdepth.diagnostics.sweeps import find_lonely_returns
 from docdepth.dynamics.classes import count_classes, find_unlikely_classes
+from docdepth.geometry.points import evenly
 from docdepth.odometry.sweeps import lidar_frame
 from docdepth.pipeline.depth_files import find_empty_maps
 
@@ -61,4 +62,4 @@ def test_maps_that_are_all_but_empty(coverage, warned):
 
 @pytest.mark.parametrize(("count", "most", "chosen"), [(3, 5, [0, 1, 2]), (100, 3, [0, 49, 99])])
 def test_samples_are_spread(count, most, chosen):
-    assert spread(count, most) == chosen
+    assert evenly(count, most) == chosen

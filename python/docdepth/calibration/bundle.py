@@ -24,6 +24,7 @@ from docdepth.calibration.board import Board
 from docdepth.calibration.lens import Lens
 from docdepth.calibration.outline import crossings, rays_near
 from docdepth.calibration.sweeps import BoardSweep
+from docdepth.geometry.points import evenly
 from docdepth.geometry.se3 import inverse, rotation_exp, rotation_log, transform_points
 
 Floats = NDArray[np.float64]
@@ -151,8 +152,7 @@ class _View:
         )
         distance = board.distance(rays.places)
         flat = rays.points[rays.on & (distance < -_INSIDE)]
-        few = np.linspace(0, len(flat) - 1, min(len(flat), _MOST_RETURNS)).astype(int)
-        self._flat = flat[few]
+        self._flat = flat[evenly(len(flat), _MOST_RETURNS)]
         edge = np.abs(distance) < reach
         self._ends, self._starts = rays.points[edge], rays.origins[edge]
         self._side = np.where(rays.on[edge], 1.0, -1.0)

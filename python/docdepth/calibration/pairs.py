@@ -17,6 +17,7 @@ from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets import Dataset, ImageStream
 from docdepth.datasets.files import read_image_of
 from docdepth.errors import CalibrationError, DatasetError
+from docdepth.geometry.points import evenly
 
 Floats = NDArray[np.float64]
 
@@ -187,8 +188,7 @@ def _check_count(
     """Refuse images of a checkerboard with more corners, or fewer if it was not found."""
     if board.pattern != PATTERNS[0]:
         return
-    few = np.linspace(0, len(together) - 1, min(len(together), _COUNTED)).astype(int)
-    for k in np.unique(few).tolist():
+    for k in evenly(len(together), _COUNTED):
         image = stream.images[together[k][0]]
         pixels = read_image_of(image)
         if not found and shows_markers(pixels):

@@ -15,10 +15,10 @@ import docdepth._core as _core
 from docdepth.datasets.base import Dataset, LidarStream, Sweep
 from docdepth.datasets.files import readable
 from docdepth.datasets.merged_lidars import Cloud, Place, find_lidars, lidar_ends, rig_in_order
-from docdepth.datasets.views import View
+from docdepth.datasets.views import RecordingView
 from docdepth.geometry.ground_plane import GroundPlane, find_ground, level_turn
 from docdepth.geometry.lidar_frame import SensorRig
-from docdepth.geometry.points import usable_points
+from docdepth.geometry.points import evenly, usable_points
 from docdepth.geometry.scan_mesh import share_in_triangles
 from docdepth.geometry.se3 import inverse
 
@@ -38,14 +38,14 @@ def ground_of(
     it is the LiDAR frame if they are left out.
     """
     clouds = []
-    for k in sorted({int(k) for k in np.linspace(0, len(recording) - 1, _GROUND_SWEEPS)}):
+    for k in evenly(len(recording), _GROUND_SWEEPS):
         points = recording.sweep(k).points
         points = points[usable_points(points)]
         clouds.append(points if rotations is None else points @ rotations[k].T.astype(np.float32))
     return find_ground(clouds)
 
 
-class LevelledRecording(View):
+class LevelledRecording(RecordingView):
     """A recording with what was found of the mount of its LiDAR.
 
     Its LiDAR frame is turned so that z is up: points, poses, extrinsics of cameras and places of
@@ -124,7 +124,7 @@ class LevelledRecording(View):
         poles lack neighbours.
         """
         shares = np.zeros(2)
-        wanted = sorted({int(k) for k in np.linspace(0, len(self) - 1, _SAMPLES)})
+        wanted = evenly(len(self), _SAMPLES)
         for sweep in readable(self.whole.sweep, wanted, len(self)).values():
             usable = usable_points(sweep.points)
             for leans in (False, True):

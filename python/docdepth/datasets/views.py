@@ -27,7 +27,7 @@ from docdepth.geometry.turn import Turn
 _Stream = TypeVar("_Stream", CameraStream, ImageStream)
 
 
-class View(DatasetRepr):
+class RecordingView(DatasetRepr):
     """A recording seen in another way: what a subclass does not change is as it was."""
 
     def __init__(self, whole: Dataset) -> None:
@@ -75,7 +75,7 @@ class View(DatasetRepr):
         return self.whole.labels(self.indices[index])
 
 
-class FrameRange(View):
+class FrameRange(RecordingView):
     """Sweeps A to B - 1 of a recording, and the images that were taken meanwhile.
 
     Files keep their names. A sweep that is left out is as if it had not been recorded, and so are
@@ -173,7 +173,7 @@ def image_streams(recording: Dataset) -> dict[str, ImageStream]:
     if isinstance(recording, FrameRange):
         streams = image_streams(recording.whole)
         return {name: recording.part_of(stream) for name, stream in streams.items()}
-    if isinstance(recording, View):
+    if isinstance(recording, RecordingView):
         return image_streams(recording.whole)
     found = {
         name: ImageStream(name, s.times, s.names, s.images, s.camera, s.distortion, s.model)
@@ -212,7 +212,7 @@ def in_boxes(points: NDArray[np.float32], boxes: Sequence[ArrayLike]) -> NDArray
     return inside
 
 
-class WithoutEgo(View):
+class WithoutEgo(RecordingView):
     """A recording without what its LiDAR sees of its own vehicle."""
 
     def __init__(self, whole: Dataset, boxes: Sequence[ArrayLike]) -> None:
@@ -224,7 +224,7 @@ class WithoutEgo(View):
         return without_ego(super().sweep(index), self._boxes)
 
 
-class TurningLidar(View):
+class TurningLidar(RecordingView):
     """A recording of one spinning LiDAR, as measured, whose points have no times of their own.
 
     Parameters

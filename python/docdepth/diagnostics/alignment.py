@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.datasets.base import CameraStream, Dataset, Sweep
-from docdepth.diagnostics.alignment_views import View, edge_strength, scores_of, views_of
+from docdepth.diagnostics.edge_pairs import EdgePair, edge_pairs, edge_strength, scores_of
 from docdepth.geometry.se3 import matrix_to_quaternion, quaternion_to_matrix, rigid, rotation_exp
 
 Scores = NDArray[np.float64]
@@ -61,10 +61,10 @@ def find_misalignment(
         right``; None where the given calibration fits best, and where the evidence is thin.
     """
     sweeps = sweeps or {}
-    views = views_of(recording, stream, sweeps)
-    if len(views) < _FEWEST_PAIRS:
+    edges = edge_pairs(recording, stream, sweeps)
+    if len(edges) < _FEWEST_PAIRS:
         return None
-    pairs = _Pairs(views, stream)
+    pairs = _Pairs(edges, stream)
     if not pairs.fit(_NO_FIT) and _fits_in_another_order(recording, stream, sweeps):
         return (
             "depth edges of the sweeps fit the images if the quaternion of the extrinsics is read "
@@ -75,7 +75,7 @@ def find_misalignment(
             "depth edges of the sweeps fit the images if left and right of the points are swapped "
             "(y with the other sign), so that their frame is right-handed"
         )
-    moved = _moved_meanwhile(recording, stream, views)
+    moved = _moved_meanwhile(recording, stream, edges)
     better = "depth edges of the sweeps fit the images better when "
     found = pairs.best(pairs.turns, _MOVED_GAIN if moved else _GAIN)
     if moved:
@@ -108,24 +108,24 @@ def _fits_in_another_order(
         T = stream.T_camera_lidar.copy()
         T[:3, :3] = quaternion_to_matrix(np.roll(quaternion, by))
         other = replace(stream, T_camera_lidar=T)
-        views = views_of(recording, other, sweeps)
-        if len(views) >= _FEWEST_PAIRS and _Pairs(views, other).fit(_SHARP):
+        edges = edge_pairs(recording, other, sweeps)
+        if len(edges) >= _FEWEST_PAIRS and _Pairs(edges, other).fit(_SHARP):
             return True
     return False
 
 
 def _fits_mirrored(pairs: _Pairs) -> bool:
     """Whether a camera that does not fit the sweeps fits their mirror image, left for right."""
-    views = [replace(view, ends=view.ends * (1, -1, 1)) for view in pairs.views]
-    mirrored = _Pairs(views, pairs.stream)
+    edges = [replace(pair, ends=pair.ends * (1, -1, 1)) for pair in pairs.edges]
+    mirrored = _Pairs(edges, pairs.stream)
     return mirrored.fit(_NO_FIT) and _is_better(mirrored.given, pairs.given, _MOVED_GAIN)
 
 
-def _moved_meanwhile(recording: Dataset, stream: CameraStream, views: Sequence[View]) -> bool:
+def _moved_meanwhile(recording: Dataset, stream: CameraStream, edges: Sequence[EdgePair]) -> bool:
     """Whether the vehicle may have moved between sweeps and images, and no poses tell how far."""
     if recording.poses is not None:
         return False
-    times = stream.times[[view.image for view in views]]
+    times = stream.times[[pair.image for pair in edges]]
     apart = np.abs(recording.times[:, None] - times).min(axis=0)
     return float(np.median(apart)) > _AT_ONCE
 
@@ -142,7 +142,7 @@ class _Pairs:
         Of each pair on average over all turns.
     """
 
-    views: Sequence[View]
+    edges: Sequence[EdgePair]
     stream: CameraStream
 
     def __post_init__(self) -> None:
@@ -175,7 +175,7 @@ class _Pairs:
         A vehicle that drives along with the LiDAR stays where the sweep saw it, so its edges lie
         off by the LiDAR's way from the sweep to the image. A shift like that tells nothing.
         """
-        travel = np.median([view.travel for view in self.views], axis=0)
+        travel = np.median([pair.travel for pair in self.edges], axis=0)
         ahead = self.stream.T_camera_lidar[:3, :3] @ travel
         if np.linalg.norm(ahead) < _LEAST_TRAVEL:
             return _shifts()
@@ -186,10 +186,10 @@ class _Pairs:
         best, best_score = 0, max(float(self.given.mean()), _SHARP * float(self.chance.mean()))
         for off in _IMAGES_OFF:
             others, inside = [], []
-            for k, view in enumerate(self.views):
-                if 0 <= view.image + off < len(self.stream.images):
-                    strength = edge_strength(self.stream, view.image + off)
-                    others.append(replace(view, image=view.image + off, strength=strength))
+            for k, pair in enumerate(self.edges):
+                if 0 <= pair.image + off < len(self.stream.images):
+                    strength = edge_strength(self.stream, pair.image + off)
+                    others.append(replace(pair, image=pair.image + off, strength=strength))
                     inside.append(k)
             if len(others) < _FEWEST_PAIRS:
                 continue
@@ -208,7 +208,7 @@ class _Pairs:
 
     def _after(self, change: Change) -> Scores:
         T = rigid(rotation_exp(np.radians(change[:3])), change[3:])
-        return scores_of(self.views, self.stream, T)
+        return scores_of(self.edges, self.stream, T)
 
 
 def _turns(step: float, farthest: float) -> list[Change]:

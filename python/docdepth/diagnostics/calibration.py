@@ -16,9 +16,9 @@ from docdepth.datasets import CameraStream
 from docdepth.diagnostics.alignment import OTHER_TIMES, in_words
 from docdepth.diagnostics.depth_edges import Edges, edges_of_map, pixels_of_tracks, profiles
 from docdepth.diagnostics.edge_fit import EdgeFit, ImageEdges, displaced, fit_edges
-from docdepth.diagnostics.sweeps import spread
 from docdepth.errors import CalibrationError, Finding
 from docdepth.geometry.camera import View
+from docdepth.geometry.points import evenly
 from docdepth.geometry.se3 import inverse, rotation_log
 from docdepth.geometry.track import Tracks
 from docdepth.geometry.trajectory import Trajectory
@@ -222,7 +222,7 @@ def edges_of_images(
     times = stream.times[list(indices)]
     poses = trajectory.interpolate(times)
     apart = Trajectory(times, poses).subsample(APART)
-    chosen = [int(apart[k]) for k in spread(len(apart), most)]
+    chosen = [int(apart[k]) for k in evenly(len(apart), most)]
     images, edges, motions = [], [], []
     for done, k in enumerate(chosen, 1):
         image = stream.rectified_image(indices[k])

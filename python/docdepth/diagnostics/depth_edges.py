@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docdepth.geometry.camera import Camera, View
+from docdepth.geometry.points import evenly
 from docdepth.geometry.track import Tracks
 from docdepth.io.tracks import box_in_image
 
@@ -88,7 +89,7 @@ def edges_of_map(
     box = boxes[part[v, u]]
     long = np.maximum(box[:, cv2.CC_STAT_WIDTH], box[:, cv2.CC_STAT_HEIGHT]) >= _LONG + 2
     u, v, axis_of = u[long], v[long], axis_of[long]
-    every = np.unique(np.linspace(0, len(u) - 1, min(len(u), _MOST_EDGES)).astype(np.int64))
+    every = evenly(len(u), _MOST_EDGES)
     u, v, axis_of = u[every], v[every], axis_of[every]
     side = np.eye(2, dtype=np.int64)[axis_of]
     near = np.fmin(depth[v, u], depth[v + side[:, 1], u + side[:, 0]])

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 import docdepth._core as _core
 from docdepth.datasets import Dataset, Sweep, usable_points
 from docdepth.datasets.views import in_boxes
-from docdepth.diagnostics.sweeps import spread
 from docdepth.geometry.ground_plane import GroundPlane, find_ground, level_turn
+from docdepth.geometry.points import evenly
 from docdepth.io.inputs import Box
 from docdepth.odometry.registration import FEWEST_POINTS, Registration
 
@@ -83,7 +83,7 @@ def find_own_vehicle(recording: Dataset) -> OwnVehicle | None:
     """
     if len(recording) <= _FEWEST:
         return None
-    sampled = spread(len(recording) - 1, _SAMPLES)
+    sampled = evenly(len(recording) - 1, _SAMPLES)
     clouds, pairs = [], []
     for k in sampled:
         sweep = recording.sweep(k)

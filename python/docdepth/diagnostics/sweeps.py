@@ -25,6 +25,7 @@ from docdepth.errors import (
     collect_findings,
 )
 from docdepth.geometry.lidar_frame import LidarFrame
+from docdepth.geometry.points import evenly
 from docdepth.geometry.scan_mesh import share_in_triangles
 from docdepth.odometry.pose_checks import check_period
 
@@ -51,11 +52,6 @@ _REGISTERED = 0.05  # share of the points within the ranges that odometry takes
 def sample(count: int, most: int = SAMPLES) -> list[int]:
     """Indices spread over ``range(count)``, with the first and the last."""
     return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
-
-
-def spread(count: int, most: int) -> list[int]:
-    """At most ``most`` of ``count`` indices, evenly spread; fractions are cut."""
-    return sorted({int(k) for k in np.linspace(0, count - 1, min(count, most))})
 
 
 def check_sweeps(
@@ -154,7 +150,7 @@ def find_lonely_returns(read: Callable[[int], LidarFrame], count: int) -> list[F
 
     A few of ``count`` sweeps are read, usable returns alone.
     """
-    frames = map(read, spread(count, _MESHES))
+    frames = map(read, evenly(count, _MESHES))
     shares = [share_in_triangles(f.points, f.sensor_rig) for f in frames if len(f)]
     if not shares or np.median(shares) >= LEAST_IN_TRIANGLES:
         return []

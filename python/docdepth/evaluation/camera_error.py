@@ -24,10 +24,10 @@ from docdepth.diagnostics.calibration import (
     compare,
     edges_of_images,
 )
-from docdepth.diagnostics.sweeps import spread
 from docdepth.errors import CalibrationError, DatasetError, RunError
 from docdepth.evaluation.depth_metrics import RELATIVE_ERROR
 from docdepth.geometry.camera import Camera, pixels_in_image
+from docdepth.geometry.points import evenly
 from docdepth.geometry.se3 import rigid, rotation_exp, transform_points
 from docdepth.io.depth import maps_in, read_depth
 from docdepth.io.run_folder import RunFolder
@@ -112,7 +112,7 @@ def camera_error(
     name = folder.depth_folder(camera)
     files = list(maps_in(folder.path / "depth" / name).values())
     change = check.fit.of_points(np.mean(found.motions, axis=0))
-    maps = (read_depth(files[k]) for k in spread(len(files), IMAGES))
+    maps = (read_depth(files[k]) for k in evenly(len(files), IMAGES))
     mae, wrong = difference(maps, found.stream.camera, change, max_depth)
     return CameraError(check.verdict, mae, wrong)
 

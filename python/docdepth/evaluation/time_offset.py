@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets import CameraStream
 from docdepth.diagnostics.depth_edges import pixels_of_tracks
-from docdepth.diagnostics.sweeps import spread
 from docdepth.errors import CalibrationError
 from docdepth.evaluation.camera_error import images_and_maps
 from docdepth.evaluation.followed_points import Window, follow, predicted, smooth_pose
 from docdepth.geometry.camera import View
+from docdepth.geometry.points import evenly
 from docdepth.geometry.se3 import inverse, rigid, rotation_exp, rotation_log
 from docdepth.geometry.trajectory import Trajectory
 from docdepth.io.depth import read_depth
@@ -157,7 +157,7 @@ def _windows(
         inside = times[first] - margin >= trajectory.times[0] and last < len(times)
         if free and inside and times[last] + margin <= trajectory.times[-1]:
             starts += [(first, last)] if stream.names[first] in maps else []
-    chosen = [starts[k] for k in spread(len(starts), _MOST_WINDOWS)]
+    chosen = [starts[k] for k in evenly(len(starts), _MOST_WINDOWS)]
     windows = []
     for done, (first, last) in enumerate(chosen, 1):
         time = int(times[first])

@@ -54,6 +54,11 @@ def usable_points(points: NDArray[np.float32], min_range: float = 0.5) -> NDArra
     return usable
 
 
+def evenly(count: int, most: int) -> list[int]:
+    """At most ``most`` of ``count`` indices, with the first and the last; fractions are cut."""
+    return np.linspace(0, count - 1, min(count, most)).astype(int).tolist()
+
+
 def spread(values: NDArray[Any], rows: NDArray[Any], count: int, fill: Any = 0) -> NDArray[Any]:
     """Values of some rows, numbers or a mask, as values of all ``count`` rows."""
     if len(values) == count:

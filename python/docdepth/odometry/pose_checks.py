@@ -11,6 +11,7 @@ import docdepth._core as _core
 from docdepth.config import OdometryParameters
 from docdepth.datasets.base import Dataset
 from docdepth.errors import Finding, InputError, OdometryError
+from docdepth.geometry.points import evenly
 from docdepth.geometry.se3 import check_rigid, inverse, transform_points
 from docdepth.geometry.trajectory import Trajectory, parts_of
 from docdepth.odometry.clock import even_steps
@@ -197,8 +198,7 @@ def misfit(
     """
     p, moved = parameters or OdometryParameters(), []
     compared = [k for part in parts_of(times) for k in part[apart + _BEFORE - 1 :]]
-    chosen = np.linspace(0, len(compared) - 1, min(_SAMPLES, len(compared))).astype(int)
-    frames = [compared[k] for k in chosen.tolist()] if at is None else [at]
+    frames = [compared[k] for k in evenly(len(compared), _SAMPLES)] if at is None else [at]
     for frame in frames:
         shift = _shift_to_those_before(points, poses, frame, p, apart)
         moved += [] if shift is None else [shift]

@@ -21,7 +21,7 @@ from docdepth.config import OdometryParameters
 from docdepth.datasets.base import Dataset, Sweep
 from docdepth.datasets.files import readable
 from docdepth.datasets.point_times import SHARE_BEFORE, USUAL_PERIOD, Instant, median_period
-from docdepth.datasets.views import FrameRange, TurningLidar, View
+from docdepth.datasets.views import FrameRange, RecordingView, TurningLidar
 from docdepth.errors import Finding, OdometryError
 from docdepth.geometry.se3 import transform_points
 from docdepth.geometry.turn import Turn, possible_turns
@@ -191,7 +191,7 @@ def _pieces(recording: Dataset) -> list[_Piece]:
     return sorted(moving, key=lambda piece: -piece.speed)
 
 
-class _Piece(View):
+class _Piece(RecordingView):
     """A few sweeps of a drive in a row, each read once."""
 
     def __init__(self, recording: Dataset, start: int) -> None:

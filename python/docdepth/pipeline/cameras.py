@@ -15,7 +15,7 @@ from docdepth.datasets.kitti_lidar import seen_raised
 from docdepth.datasets.recording import Recording
 from docdepth.datasets.settings import camera_mask
 from docdepth.datasets.times import read_times
-from docdepth.datasets.views import View
+from docdepth.datasets.views import RecordingView
 from docdepth.errors import CalibrationError, ConfigError, DatasetError
 from docdepth.geometry.camera import Camera
 from docdepth.geometry.ground_plane import level_turn
@@ -171,7 +171,7 @@ def _with_masks(
 
 def as_recorded(recording: Dataset) -> Dataset:
     """The recording itself, which knows what docdepth.yaml says of it."""
-    while isinstance(recording, View):
+    while isinstance(recording, RecordingView):
         recording = recording.whole
     return recording
 

@@ -24,7 +24,7 @@ from docdepth.concurrency import MOST_THREADS, Progress
 from docdepth.config import Parameters, replaced
 from docdepth.datasets.base import CameraStream, Dataset
 from docdepth.errors import CalibrationError, ConfigError, Finding, collect_findings
-from docdepth.geometry.points import usable_points
+from docdepth.geometry.points import evenly, usable_points
 from docdepth.ground.growing import CHUNK_OVERLAP
 from docdepth.io.inputs import Checked
 from docdepth.io.manifest import Keep
@@ -173,7 +173,7 @@ def within_memory(
     Nothing else changes: labels do not depend on where chunks begin.
     """
     count, memory = len(recording), bytes_of(budget)
-    some = np.linspace(0, count - 1, min(count, _SAMPLES)).astype(int)
+    some = evenly(count, _SAMPLES)
     points = max(int(np.count_nonzero(usable_points(recording.sweep(k).points))) for k in some)
     left = (memory - _PER_SWEEP * count) / jobs - BASE
     fits = left / _ground_per_sweep(max(points, 1)) / _SWEEPS_A_METRE - 2 * CHUNK_OVERLAP

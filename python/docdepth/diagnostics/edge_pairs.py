@@ -39,7 +39,7 @@ _DARK = 0.02  # contrast of noise; brightness is a square root, 0 to 16
 
 
 @dataclass(frozen=True)
-class View:
+class EdgePair:
     """Depth edges of a sweep and edges of the image that was taken then."""
 
     # (3, n, 3): LiDAR frame at the time of the image, metres: the near return of each edge, the
@@ -53,7 +53,9 @@ class View:
     travel: NDArray[np.float64]
 
 
-def views_of(recording: Dataset, stream: CameraStream, sweeps: Mapping[int, Sweep]) -> list[View]:
+def edge_pairs(
+    recording: Dataset, stream: CameraStream, sweeps: Mapping[int, Sweep]
+) -> list[EdgePair]:
     """Pairs of sweep and image, spread over the drive; ``sweeps`` are read already."""
     times = recording.times
     inside = np.flatnonzero((stream.times >= times[0]) & (stream.times <= times[-1]))
@@ -66,7 +68,7 @@ def views_of(recording: Dataset, stream: CameraStream, sweeps: Mapping[int, Swee
     trajectory = None
     if recording.poses is not None and len(times) > 1:
         trajectory = Trajectory(times, recording.poses)
-    views = []
+    pairs = []
     for image in chosen.tolist():
         index = int(np.abs(times - stream.times[image]).argmin())
         sweep = sweeps[index] if index in sweeps else recording.sweep(index)
@@ -80,14 +82,14 @@ def views_of(recording: Dataset, stream: CameraStream, sweeps: Mapping[int, Swee
             motion = inverse(T_world_image) @ trajectory.poses[index]
             ends, travel = transform_points(motion, ends), -motion[:3, 3]
         if weight.sum() >= _FEWEST_EDGES:
-            views.append(View(ends, weight, image, edge_strength(stream, image), travel))
-    return views
+            pairs.append(EdgePair(ends, weight, image, edge_strength(stream, image), travel))
+    return pairs
 
 
 def _depth_edges(
     sweep: Sweep, stream: CameraStream
 ) -> tuple[NDArray[np.float64], NDArray[np.float32] | None, NDArray[np.float64]]:
-    """Depth edges of a sweep around the image, as :class:`View` has them, at the time of each.
+    """Depth edges of a sweep around the image, as :class:`EdgePair` has them, at the time of each.
 
     The second array has the times of the near returns, as a share of the sweep; None where the
     sweep has none or is motion compensated.
@@ -168,35 +170,35 @@ def _scale(stream: CameraStream) -> float:
 
 
 def scores_of(
-    views: Sequence[View], stream: CameraStream, change: NDArray[np.float64]
+    pairs: Sequence[EdgePair], stream: CameraStream, change: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Strength of the image across each depth edge, on average over each pair.
 
     ``change`` is a transform (4, 4) of points in the frame of the camera.
     """
     T = change @ stream.T_camera_lidar
-    return np.array([_score(view, stream, T[:3, :3], T[:3, 3]) for view in views])
+    return np.array([_score(pair, stream, T[:3, :3], T[:3, 3]) for pair in pairs])
 
 
 def _score(
-    view: View,
+    pair: EdgePair,
     stream: CameraStream,
     rotation: NDArray[np.float64],
     offset: NDArray[np.float64],
 ) -> float:
     K, scale = stream.camera.K, _scale(stream)
-    x, y, z = np.moveaxis(view.ends @ rotation.T + offset, -1, 0)
+    x, y, z = np.moveaxis(pair.ends @ rotation.T + offset, -1, 0)
     seen = (z > 0.5).all(axis=0)
     z = np.where(seen, z, 1.0)
     u, v = K[0, 0] * x / z + K[0, 2], K[1, 1] * y / z + K[1, 2]
     column = np.floor(u[1] * scale + 0.5).astype(np.int64)
     row = np.floor(v[1] * scale + 0.5).astype(np.int64)
-    height, width = view.strength.shape[:2]
+    height, width = pair.strength.shape[:2]
     seen &= (column >= 0) & (column < width) & (row >= 0) & (row < height)
     if not seen.any():
         return 0.0
     du, dv = (u[2] - u[0])[seen], (v[2] - v[0])[seen]
-    xx, xy, yy = view.strength[row[seen], column[seen]].T
+    xx, xy, yy = pair.strength[row[seen], column[seen]].T
     across = (du * du * xx + 2 * du * dv * xy + dv * dv * yy) / (du * du + dv * dv + 1e-12)
-    weight = view.weight[seen]
+    weight = pair.weight[seen]
     return float((np.sqrt(np.maximum(across, 0)) * weight).sum() / weight.sum())
