@@ -149,6 +149,22 @@ def write_capture(
             writer.writepkt_time(bytes(ethernet), time / 1e9)
 
 
+def write_pieces(path: Path, packets: list[tuple[int, bytes]], mtu: int, kept: int) -> None:
+    """A capture of packets that the network has split, ``kept`` bytes of each frame."""
+    dpkt = pytest.importorskip("dpkt")
+    step = (mtu - 20) // 8 * 8
+    with path.open("wb") as stream:
+        writer = dpkt.pcap.Writer(stream, snaplen=kept)
+        for number, (time, data) in enumerate(packets):
+            udp = bytes(dpkt.udp.UDP(sport=1, dport=2368, data=data, ulen=8 + len(data)))
+            for begin in range(0, len(udp), step):
+                piece = udp[begin : begin + step]
+                ip = dpkt.ip.IP(src=b"\n\0\0\1", dst=b"\xff" * 4, p=17, id=number, data=piece)
+                ip.len, ip.offset, ip.mf = 20 + len(piece), begin // 8, int(begin + step < len(udp))
+                ethernet = dpkt.ethernet.Ethernet(src=b"\1" * 6, dst=b"\xff" * 6, data=ip)
+                writer.writepkt_time(bytes(ethernet)[:kept], time / 1e9)
+
+
 def velodyne_drive() -> list[tuple[int, bytes]]:
     """As many revolutions as the drive has, each from its stamp on, and position packets."""
     packets = []

@@ -628,3 +628,44 @@ def test_video_is_left_out_at_once(tmp_path: Path, caplog) -> None:
     assert not open_dataset(path).cameras
     assert "/cam/compressed holds video (h264)" in caplog.text
     assert "decode it to a topic of images" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "values"),
+    [
+        (
+            "ffmpeg_image_transport_msgs/msg/FFMPEGPacket",
+            "std_msgs/Header header\nstring encoding\nuint64 pts\nuint8[] data",
+            lambda bag, time: (bag.header(time, "cam"), "hevc", time),
+        ),
+        (
+            "foxglove_msgs/msg/CompressedVideo",
+            "builtin_interfaces/Time timestamp\nstring frame_id\nstring format\nuint8[] data",
+            lambda bag, time: (bag.stamp(time), "cam", "h264"),
+        ),
+        (
+            "theora_image_transport/msg/Packet",
+            "std_msgs/Header header\nint32 b_o_s\nint64 packetno\nuint8[] data",
+            lambda bag, time: (bag.header(time, "cam"), 1, 1),
+        ),
+        (
+            "foxglove_msgs/msg/CompressedImage",
+            "builtin_interfaces/Time timestamp\nstring frame_id\nstring format\nuint8[] data",
+            lambda bag, time: (bag.stamp(time), "cam", "jpeg"),
+        ),
+    ],
+)
+def test_images_of_other_messages_are_told(tmp_path: Path, kind, text, values, caplog) -> None:
+    from rosbags.typesys import get_types_from_msg
+
+    path = write_drive(tmp_path / "plain", "mcap")
+    open_dataset(path)
+    assert "which docdepth does not read" not in caplog.text
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        bag.types.register(get_types_from_msg(text, kind))
+        for k, time in enumerate(DRIVE.times.tolist()):
+            bag.write("/points", bag.cloud(padded_rows(k), time), time)
+            message = bag.make(kind, *values(bag, time), np.zeros(9, np.uint8))
+            bag.write("/cam/images", message, time)
+    assert not open_dataset(tmp_path / "drive").cameras
+    assert f"/cam/images holds images as {kind}, which docdepth does not read" in caplog.text

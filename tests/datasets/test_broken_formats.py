@@ -42,6 +42,10 @@ def content_at(place: int, made: bytes) -> Change:
     return change
 
 
+def begin_of(size: int) -> Change:
+    return lambda file: file.write_bytes(file.read_bytes()[:size])
+
+
 def without(column: str) -> Change:
     def change(file: Path) -> None:
         feather = pytest.importorskip("pyarrow.feather")
@@ -160,6 +164,12 @@ BROKEN: list[tuple[str, str, Change, type, str]] = [
     ("folder of las", "000000.las", content_at(155, b"\xff" * 8), D, "its offsets [nan"),
     ("folder of las", "000000.las", content_at(107, b"\xff" * 4), D, "too few bytes"),
     ("folder of laz", "000000.laz", content_at(107, b"\xff" * 4), D, "too few bytes"),
+    ("folder of las", "000000.las", content_at(0, b"LASX"), D, "does not begin with LASF"),
+    ("folder of las", "000000.las", content_at(24, b"\2\7"), D, "is LAS 2.7 of point format"),
+    ("folder of laz", "000000.laz", content_at(104, b"\xbf"), D, "of point format 63; write LAS"),
+    ("folder of las", "000000.las", content_at(105, b"\3\0"), D, "its points have 3 bytes, those"),
+    ("folder of las", "000000.las", begin_of(150), D, "150 bytes, fewer than the header"),
+    ("folder of laz", "000000.laz", begin_of(-9), D, "its records or points end early"),
 ]  # fmt: skip
 
 

@@ -26,6 +26,7 @@ from captures import (
     write_capture,
     write_ouster,
     write_ouster_bag,
+    write_pieces,
 )
 from conformance import check
 from made_up import DRIVE
@@ -347,3 +348,25 @@ def test_two_velodynes_behind_one_address(tmp_path: Path) -> None:
     (tmp_path / "both.pcap").write_bytes(joined)
     with pytest.raises(DatasetError, match=r"both.pcap holds packets of 2 LiDARs"):
         open_dataset(tmp_path / "both.pcap")
+
+
+@pytest.mark.parametrize("mtu", [576, 1200, 1500])
+def test_packets_that_the_network_has_split(tmp_path: Path, mtu: int) -> None:
+    pytest.importorskip("velodyne_decoder")
+    file = tmp_path / "drive.pcap"
+    write_pieces(file, velodyne_drive(), mtu, 1 << 16)
+    if mtu > 1206 + 28:
+        write_capture(tmp_path / "whole.pcap", velodyne_drive())
+        whole = open_dataset(tmp_path / "whole.pcap").sweep(1).points
+        np.testing.assert_array_equal(open_dataset(file).sweep(1).points, whole)
+        return
+    with pytest.raises(DatasetError, match=r"drive.pcap .* pieces .*IP fragments\).* MTU of 1500"):
+        open_dataset(file)
+
+
+@pytest.mark.parametrize("drive", [velodyne_drive, hesai_drive])
+def test_packets_that_were_recorded_in_part(tmp_path: Path, drive) -> None:
+    pytest.importorskip("velodyne_decoder")
+    write_pieces(tmp_path / "drive.pcap", drive(), 1500, 262)
+    with pytest.raises(DatasetError, match=r"holds the beginning alone; .*tcpdump -s 0"):
+        open_dataset(tmp_path / "drive.pcap")

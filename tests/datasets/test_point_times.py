@@ -159,3 +159,27 @@ def test_a_counter_that_begins_anew_within_a_sweep(caplog):
     for one in found[:3]:
         np.testing.assert_allclose(one, late[0], atol=1e-4)
     assert found[3] is None  # told of this sweep alone
+
+
+def test_offsets_before_the_stamp_that_begin_anew_at_32_bits(caplog):
+    """As Livox's, whose offsets have no sign."""
+    shares = SHARES - 0.5
+    whole = np.round(shares * PERIOD).astype(np.int64) % (1 << 32)
+    for late in relative(lambda _: whole.astype("<u4")):
+        np.testing.assert_allclose(late, shares, atol=1e-6)
+    one = iter([whole, whole + PERIOD // 2, whole + PERIOD // 2])
+    first, *others = relative(lambda _: (next(one) % (1 << 32)).astype("<u4"))
+    np.testing.assert_allclose(first, shares, atol=1e-6)
+    for late in others:
+        np.testing.assert_allclose(late, SHARES, atol=1e-6)
+    assert not caplog.records
+
+
+def test_a_few_times_that_are_wrong_are_told_from_a_unit_that_is(caplog):
+    times = np.round(SHARES * PERIOD).astype("<u4")
+    assert relative(lambda _: times * 5) is None
+    assert "no sweep of 0.1 s" in caplog.text
+    assert "because of" not in caplog.text
+    times[[3, 70]] = 900_000_000
+    assert relative(lambda _: times) is None
+    assert "because of 2 of 500 points in a sweep; remove those points" in caplog.text

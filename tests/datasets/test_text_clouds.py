@@ -81,6 +81,7 @@ def test_values_that_are_left_out_are_nan(tmp_path: Path) -> None:
         (b"lat,lon,alt\n1,2,3\n", "no field x, only lat, lon, alt; points need"),
         (b"x,y,x,z\n1,2,3,4\n", "two columns x"),
         (b"1,2,3,4,5\n", r"shape \(1, 5\).* say columns"),
+        (b"1,2,3\n\n4,5,6,7\n", "line 3, has 4 values in the line '4,5,6,7', and 3 in"),
         (b"1 2 3\n4 5\n", "2 values in the line '4 5', and 3 in the first"),
         (b"1 2 3\n4 five 6\n", "no number .*'five'"),
         ("1,2,3\n".encode("utf-16"), "no line of numbers"),

@@ -35,6 +35,8 @@ from docdepth.io.untrusted import MOST_PACKED, ArrayError, open_file, read_array
 
 NANOSECOND, MICROSECOND = 1, 1000
 _RECORD = 54  # bytes at least of a record with a variable length (VLR) of a LAS file
+_LAS_HEADER = 227  # bytes of the shortest
+_POINT_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)  # bytes of point formats 0 to 10
 _BEGINNING, _OF_NUMBERS = 64, b"0123456789+-.,;eE \t\r\n"  # bytes of a file; those of a text
 KITTI_COLUMNS = ("x", "y", "z", "intensity")
 
@@ -169,13 +171,15 @@ def _named(table: NDArray[Any], rows: RowFormat, where: str) -> NDArray[Any]:
 def _read_las(file: Path, where: str, rows: RowFormat) -> Cloud:
     laspy = extra("laspy", "LAS and LAZ files need laspy and lazrs", "clouds")
     content = read_file(file)
+    _check_las(content, where)
     # lazrs ends the process where it gets no memory for the chunks that a file tells of.
     if content[104:105] >= b"\x80" and _chunks(content) > len(content):
         raise DatasetError(f"{where} tells of more chunks than it has bytes; copy it again")
     # laspy goes through as many records as the header tells of, also after the end.
     if int.from_bytes(content[100:104], "little") * _RECORD > len(content):
         raise DatasetError(f"{where} tells of more records than it has bytes; copy it again")
-    with library_errors(where, "copy it again"), laspy.open(io.BytesIO(content)) as reader:
+    reason = "its records or points end early, or are none"
+    with library_errors(where, "copy it again", reason), laspy.open(io.BytesIO(content)) as reader:
         header = reader.header
         room = len(content) - header.offset_to_point_data
         most = room * (MOST_PACKED if header.are_points_compressed else 1)
@@ -198,6 +202,30 @@ def _read_las(file: Path, where: str, rows: RowFormat) -> Cloud:
     for name in las.point_format.extra_dimension_names:
         columns[name.lower()] = np.asarray(las[name])
     return cloud_from_fields(rows_of(columns), where)
+
+
+def _check_las(content: bytes, where: str) -> None:
+    """Refuse a header of which laspy tells in its own words."""
+    if content[:4] != b"LASF":
+        raise DatasetError(
+            f"{where} does not begin with LASF, so it is no LAS or LAZ; copy it again"
+        )
+    if len(content) < _LAS_HEADER:
+        raise DatasetError(
+            f"{where} has {len(content)} bytes, fewer than the header of a LAS; copy it again"
+        )
+    version, point = (content[24], content[25]), content[104] & 0x3F
+    (size,) = struct.unpack_from("<H", content, 105)
+    if version[0] != 1 or version[1] > 4 or point >= len(_POINT_SIZES):
+        raise DatasetError(
+            f"{where} is LAS {version[0]}.{version[1]} of point format {point}; write LAS 1.2 to "
+            "1.4 of point format 0 to 10"
+        )
+    if size < _POINT_SIZES[point]:
+        raise DatasetError(
+            f"{where}: its points have {size} bytes, those of point format {point} "
+            f"{_POINT_SIZES[point]}; write it again"
+        )
 
 
 def _chunks(content: bytes) -> int:

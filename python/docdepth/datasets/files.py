@@ -194,8 +194,11 @@ def file_of(image: ImageSource) -> Path:
 
 
 @contextmanager
-def library_errors(where: str, remedy: str) -> Iterator[None]:
-    """What a library raises about a file that ``where`` names is an error of docdepth."""
+def library_errors(where: str, remedy: str, reason: str = "") -> Iterator[None]:
+    """What a library raises about a file that ``where`` names is an error of docdepth.
+
+    ``reason`` stands in it in place of the library's own words.
+    """
     try:
         yield
     except (DocDepthError, OSError, MemoryError):
@@ -206,7 +209,7 @@ def library_errors(where: str, remedy: str) -> Iterator[None]:
             "only text; rename it, in letters"
         ) from None
     except Exception as error:
-        raise DatasetError(f"{where} is damaged ({error!r}); {remedy}") from error
+        raise DatasetError(f"{where} is damaged ({reason or repr(error)}); {remedy}") from error
 
 
 @contextmanager

@@ -41,6 +41,8 @@ USUAL_PERIOD = 125_000_000
 # Of the time between stamps that the points of a sweep may span: of a LiDAR that looks ahead, or a
 # little more than a revolution. Units are a thousand apart, so at most one fits.
 _SHORTEST, LONGEST = 0.1, 1.6
+_HALF_OF_32_BITS = 1 << 31
+_FEW = 0.02  # of the points of a sweep, whose times may be called wrong beside the others'
 SHARE_BEFORE: dict[Instant, float] = {"start": 0.0, "middle": 0.5, "end": 1.0}
 """Of a sweep that is measured before its stamp."""
 
@@ -71,6 +73,7 @@ class PointTimes:
         there. None if a return lies more than a sweep and a half from the stamp: then times are
         wrong.
         """
+        sample = _signed(sample)
         kept = sample.values[sample.usable]
         if not len(kept):
             return np.zeros(len(sample.values), np.float32)
@@ -114,7 +117,7 @@ def find_point_times(
     PointTimes or None
         None with a warning if the values cannot be times of the points of a sweep.
     """
-    samples = [_finite(sample) for sample in samples]
+    samples = [_signed(_finite(sample)) for sample in samples]
     samples = [sample for sample in samples if sample.usable.any()]
     if not samples:
         return None
@@ -132,9 +135,9 @@ def find_point_times(
             span = longest
     if not fitting or span == 0:
         log.warning(
-            "%s: times of points span %g, which is no sweep of %.3g s in s, ms, us or ns; they are "
-            "ignored, and the sweeps stay as they were measured",
-            where, span, duration * 1e-9,
+            "%s: times of points span %g, which is no sweep of %.3g s in s, ms, us or ns%s; they "
+            "are ignored, and the sweeps stay as they were measured",
+            where, span, duration * 1e-9, _outliers(max(kept, key=np.ptp), units, duration),
         )  # fmt: skip
         return None
     count = _NANOSECONDS[fitting[0]]
@@ -186,6 +189,26 @@ def _finite(sample: TimeSample) -> TimeSample:
     if values.dtype.kind == "f":
         return sample._replace(usable=sample.usable & np.isfinite(values))
     return sample
+
+
+def _signed(sample: TimeSample) -> TimeSample:
+    """Offsets of 32 bits without a sign begin anew below 0: before the stamp, as Livox's may."""
+    values = sample.values
+    kept = values[sample.usable]
+    if values.dtype == np.uint32 and len(kept) and np.ptp(kept) > _HALF_OF_32_BITS:
+        return sample._replace(values=values.astype(np.int32))
+    return sample
+
+
+def _outliers(values: NDArray[Any], units: Sequence[Unit], duration: int) -> str:
+    """Words for the few times (N,) without which the others would be those of a sweep."""
+    low, high = np.quantile(values, [_FEW / 2, 1 - _FEW / 2])
+    for unit in units:
+        if _SHORTEST < (high - low) * _NANOSECONDS[unit] / duration < LONGEST:
+            beyond = LONGEST * duration / _NANOSECONDS[unit]
+            count = int((np.abs(values - (low + high) / 2) > beyond).sum())
+            return f", because of {count} of {len(values)} points in a sweep; remove those points"
+    return ""
 
 
 def _exact(value: Any) -> int | float:

@@ -62,8 +62,8 @@ def read_pose_table(
         except (ValueError, InvalidOperation):
             counts = " or ".join(str(count) for count in columns)
             raise DatasetError(
-                f"{file}, line {n}: '{line.strip()[:60]}' is not a whole number and {counts} more "
-                f"numbers; {remedy}"
+                f"{file}, line {n}: '{line.strip()[:60]}' ({len(words)} values) is not a whole "
+                f"number and {counts} more numbers; {remedy}"
             ) from None
         if all(map(isfinite, row)):
             stamps.append(stamp)

@@ -37,7 +37,8 @@ def read_table(file: Path, where: str) -> tuple[list[str] | None, NDArray[np.flo
         The file holds no table of numbers.
     """
     content = read_file(file, _MOST_TEXT).removeprefix(b"\xef\xbb\xbf")
-    lines = [line for line in content.splitlines() if line.strip()]
+    numbered = [(n, line) for n, line in enumerate(content.splitlines(), 1) if line.strip()]
+    lines = [line for _, line in numbered]
     first = next((k for k, line in enumerate(lines[:_LONGEST_HEAD]) if _is_row(line)), None)
     if first is None:
         raise DatasetError(
@@ -45,12 +46,14 @@ def read_table(file: Path, where: str) -> tuple[list[str] | None, NDArray[np.flo
             "of names before them, and decimals with a point"
         )
     mark = _mark(lines[first])
-    rows = [_words(line, mark) for line in lines[first:] if not line.startswith(_COMMENTS)]
-    if odd := next((row for row in rows if len(row) != len(rows[0])), None):
-        raise DatasetError(
-            f"{where} has {len(odd)} values in the line {_shown((mark or b' ').join(odd))}, and "
-            f"{len(rows[0])} in the first; copy the sweep again"
-        )
+    kept = [(n, line) for n, line in numbered[first:] if not line.startswith(_COMMENTS)]
+    rows = [_words(line, mark) for _, line in kept]
+    for (n, line), row in zip(kept, rows, strict=True):
+        if len(row) != len(rows[0]):
+            raise DatasetError(
+                f"{where}, line {n}, has {len(row)} values in the line {_shown(line)}, and "
+                f"{len(rows[0])} in the first; copy the sweep again"
+            )
     words = np.array(rows)
     words[words == b""] = b"nan"
     try:

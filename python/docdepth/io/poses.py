@@ -237,6 +237,11 @@ def _read(path: Path, columns: int | None = None) -> NDArray[np.float64]:
     columns = columns or len(lines[0].split())
     rows = np.empty((len(lines), columns))
     for k, line in enumerate(lines):
+        if (found := len(line.split())) != columns:
+            raise OdometryError(
+                f"{path}, pose {k}: '{line.strip()[:60]}' is not {columns} numbers but {found}; "
+                "each line is one pose, and a heading begins with #"
+            )
         try:
             rows[k] = [float(Decimal(word)) for word in line.split()]
         except (InvalidOperation, ValueError):

@@ -21,7 +21,7 @@ from docdepth.datasets.formats.bag.bag_frames import TRANSFORMS, StaticFrames, s
 from docdepth.datasets.formats.bag.bag_poses import poses_of_topic
 from docdepth.datasets.formats.bag.opened_bag import BagLidarSettings, BagSettings, OpenedBag
 from docdepth.datasets.formats.bag.ouster_packets import OusterPackets, is_ouster, open_packets
-from docdepth.datasets.formats.bag.ros_images import IMAGES
+from docdepth.datasets.formats.bag.ros_images import IMAGES, unread_images
 from docdepth.datasets.formats.bag.ros_points import is_hesai, reader_of, undecoded
 from docdepth.datasets.formats.pcap.hesai import read_angles
 from docdepth.datasets.recording import Recording
@@ -135,6 +135,13 @@ def _cameras(
     bag: OpenedBag, topics: Sequence[str], lidar: BagLidar
 ) -> dict[str, CameraStream | ImageStream]:
     file = bag.settings.file
+    for topic, kind in bag.file.topics.items():
+        if unread_images(kind):
+            log.warning(
+                "%s, %s holds images as %s, which docdepth does not read, and is left out; convert "
+                "them to %s, or record JPEG, PNG or raw images",
+                bag.path, topic, kind, IMAGES[1],
+            )  # fmt: skip
     unknown = sorted(bag.settings.cameras.keys() - set(topics))
     if unknown:
         raise DatasetError(

@@ -38,6 +38,14 @@ _ENCODINGS: dict[str, tuple[int, int | None]] = {
     "yuyv": (2, cv2.COLOR_YUV2BGR_YUY2),
 }
 _VIDEO = ("h264", "h265", "hevc", "h.264", "h.265", "av1", "vp8", "vp9")
+_OTHER_IMAGES = (
+    "FFMPEGPacket",
+    "CompressedVideo",
+    "theora_image_transport/msg/Packet",
+    "foxglove_msgs/msg/CompressedImage",
+    "foxglove_msgs/msg/RawImage",
+)
+"""Ends of the types of messages that hold images in a form that docdepth does not read."""
 _MODELS: dict[str, LensModel] = {
     "": "pinhole",
     "plumb_bob": "pinhole",
@@ -60,6 +68,11 @@ def is_video(message: Any) -> bool:
     """Whether a message holds a piece of a video, most of which need the pieces before."""
     is_compressed = message.__msgtype__ == IMAGES[1]
     return is_compressed and any(codec in message.format.lower() for codec in _VIDEO)
+
+
+def unread_images(kind: str) -> bool:
+    """Whether messages of a type hold images, but none that docdepth reads."""
+    return kind.endswith(_OTHER_IMAGES)
 
 
 def measures(message: Any) -> bool:

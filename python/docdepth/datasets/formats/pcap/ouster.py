@@ -44,8 +44,9 @@ class OusterCapture:
             arrived = np.array(source.full_index, np.int64).reshape(-1, 2)[:, 0]
         if not len(arrived):
             raise DatasetError(
-                f"{path} holds no frame that fits {metadata}: it is empty, or the metadata is of "
-                "another sensor, session or port; say metadata: FILE in docdepth.yaml"
+                f"{path} holds no frame that fits {metadata}: it is empty, its packets are not "
+                "whole, or the metadata is of another sensor, session or port; say metadata: FILE "
+                "in docdepth.yaml"
             )
         times = arrived * _MICROSECOND + self._clock_offset(arrived * _MICROSECOND)
         names = [str(time) for time in times.tolist()]

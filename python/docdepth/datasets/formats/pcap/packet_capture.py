@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import re
 import struct
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -28,6 +29,13 @@ _RAW = 101  # link type of IP alone, which BSD numbers otherwise
 _HEADER = 16  # bytes before each packet: seconds, fraction, bytes that are kept, bytes sent
 _HEAD = 1 << 16  # bytes of a capture that show whose it is
 _TURN = 36000  # hundredths of a degree
+_UDP_HEADER = 8  # bytes
+_SPLIT = "pieces of packets that the network has split (IP fragments)"
+_CUT = "packets of which the capture holds the beginning alone"
+_LOSSES = {
+    _SPLIT: "record again with an MTU of 1500 bytes from the LiDAR to the computer",
+    _CUT: "record again and keep all bytes of a packet (tcpdump -s 0)",
+}
 _WHOLE = 0.5  # of the usual number of packets; shorter sweeps at the ends were cut off
 
 
@@ -111,7 +119,13 @@ def _scan(
     path: Path, kind: Packets
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint16]]:
     """Arrival (ns), place in the file and azimuth of each packet."""
-    found = list(_packets(path, kind))
+    losses = Counter[str]()
+    found = list(_packets(path, kind, losses))
+    if not found and losses:
+        (loss, count), *_ = losses.most_common(1)
+        raise DatasetError(
+            f"{path} holds no whole packets of a {kind.maker}, but {count} {loss}; {_LOSSES[loss]}"
+        )
     if not found:
         raise DatasetError(
             f"{path} holds no packets of a {kind.maker} (UDP of {kind.size} bytes); for an Ouster "
@@ -127,8 +141,10 @@ def _scan(
     return np.array(arrived, np.int64), np.array(offsets, np.int64), np.array(azimuths, np.uint16)
 
 
-def _packets(path: Path, kind: Packets) -> Iterator[tuple[int, int, int, bytes]]:
-    """Arrival, place, azimuth and sender of each packet of points."""
+def _packets(
+    path: Path, kind: Packets, losses: Counter[str]
+) -> Iterator[tuple[int, int, int, bytes]]:
+    """Arrival, place, azimuth and sender of each packet of points; those in pieces are counted."""
     dpkt = extra("dpkt", "captures of packets need dpkt", "velodyne")
     with open_file(path) as stream:
         try:
@@ -143,12 +159,14 @@ def _packets(path: Path, kind: Packets) -> Iterator[tuple[int, int, int, bytes]]
             try:
                 begin, before = stream.tell(), begin
                 time, frame = next(reader)
-                sender, packet = _payload(frame, reader.datalink())
+                sender, packet, loss = _payload(frame, reader.datalink())
             except StopIteration:
                 _warn_of_end(path, before)
                 return
             except dpkt.dpkt.Error:
                 continue
+            if loss:
+                losses[loss] += 1
             if len(packet) == kind.size and len(frame) > kind.size:
                 azimuth = int.from_bytes(packet[kind.azimuth : kind.azimuth + 2], "little")
                 place = stream.tell() - len(frame) + frame.rfind(packet)
@@ -169,8 +187,8 @@ def _warn_of_end(path: Path, begin: int) -> None:
         )
 
 
-def _payload(frame: bytes, datalink: int) -> tuple[bytes, bytes]:
-    """Sender, with the port to which it sends, and payload of a frame."""
+def _payload(frame: bytes, datalink: int) -> tuple[bytes, bytes, str]:
+    """Sender, with the port to which it sends, payload of a frame, and what it has lost."""
     import dpkt
 
     pcap = dpkt.pcap
@@ -182,12 +200,16 @@ def _payload(frame: bytes, datalink: int) -> tuple[bytes, bytes]:
         **dict.fromkeys((pcap.DLT_RAW, pcap.DLT_IPV4, _RAW), dpkt.ip.IP),
     }
     layer: object = layers.get(datalink, dpkt.ethernet.Ethernet)(frame)
-    sender = b""
+    sender, loss = b"", ""
     while hasattr(layer, "data"):
         if isinstance(layer, dpkt.ip.IP):
             sender += layer.src
+            if layer.mf or layer.offset:
+                loss = _SPLIT
         elif isinstance(layer, dpkt.udp.UDP):  # of several LiDARs behind one address
             sender += b" %d" % layer.dport
+            if not loss and len(layer.data) + _UDP_HEADER < layer.ulen:
+                loss = _CUT
         layer = layer.data
     assert isinstance(layer, bytes)
-    return sender, layer
+    return sender, layer, loss
