@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from docdepth.datasets.base import LidarStream
 from docdepth.datasets.cloud import Cloud, LidarReader, joined_columns
 from docdepth.datasets.files import OpenedOnce
-from docdepth.datasets.point_times import LONGEST, PointTimes, TimeSample
+from docdepth.datasets.point_times import LONGEST, PointTimes, TimeSample, median_period
 from docdepth.datasets.pose_tables import continue_ends
 from docdepth.errors import DatasetError
 from docdepth.geometry.points import usable_points
@@ -188,7 +188,7 @@ def sweep_starts(
     begin = max(int(first.min()), 0)  # runs keep no stamps before zero
     starts = begin + duration * np.arange(-(-int(last.max() - begin) // duration), dtype=np.int64)
     covered = np.zeros(len(starts))
-    pause = int(np.median(np.diff(stamps))) if len(stamps) > 1 else 0
+    pause = median_period(stamps) or 0
     for a, b in zip(first.tolist(), np.maximum(last, first + pause).tolist(), strict=True):
         for k in range(max((a - begin) // duration, 0), int(-(-(b - begin) // duration))):
             if k < len(starts):

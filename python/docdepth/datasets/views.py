@@ -20,7 +20,7 @@ from docdepth.datasets.base import (
     LidarStream,
     Sweep,
 )
-from docdepth.datasets.point_times import nearest_rows
+from docdepth.datasets.point_times import median_period, nearest_rows
 from docdepth.errors import DatasetError
 from docdepth.geometry.turn import Turn
 
@@ -142,7 +142,7 @@ class FrameRange(RecordingView):
     def _within(self, times: NDArray[np.int64]) -> NDArray[np.intp]:
         """Which times lie between a sweep before the first and after the last one."""
         all_times = self.whole.times
-        margin = int(np.median(np.diff(all_times))) if len(all_times) > 1 else 0
+        margin = median_period(all_times) or 0
         begin, end = self.times[0] - margin, self.times[-1] + margin
         return np.flatnonzero((times >= begin) & (times <= end))
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import docdepth._core as _core
 from docdepth.dynamics.voting import Votes
 from docdepth.geometry.points import DYNAMIC, GROUND, STATIC
+from docdepth.geometry.se3 import transform_points
 from docdepth.geometry.track import MAX_TRACKS, Kind, Track
 from docdepth.geometry.trajectory import Trajectory
 
@@ -359,7 +360,7 @@ def _instances(
     if len(result.boxes):
         T = result.boxes["T_box_world"]
         for some in np.array_split(loose, len(loose) * len(T) // _PAIRS + 1):
-            places = points[some] @ T_world_lidar[:3, :3].T + T_world_lidar[:3, 3]
+            places = transform_points(T_world_lidar, points[some])
             inside = np.einsum("kij,nj->kni", T[:, :, :3], places) + T[:, None, :, 3]
             off = np.abs(inside) - result.boxes["half_size"][:, None]
             distance = np.linalg.norm(np.maximum(off, 0), axis=2)

@@ -14,6 +14,7 @@ from docdepth.config import DynamicsParameters
 from docdepth.dynamics.voting import KeyFrame, vote
 from docdepth.errors import InputError
 from docdepth.geometry.lidar_frame import LidarFrame, LidarView, SensorRig, lidar_views
+from docdepth.geometry.points import elevation_of
 from docdepth.geometry.scan_mesh import ScanMesh
 from docdepth.geometry.se3 import inverse
 
@@ -150,7 +151,7 @@ def beam_of(view: LidarView, rig: SensorRig | None) -> NDArray[np.int64]:
         return rig.index.astype(np.int64)
     points = view.motion_corrected().astype(np.float64)
     with np.errstate(invalid="ignore"):
-        elevation = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
+        elevation = np.degrees(elevation_of(points))
     band = np.maximum(_BAND_DEG, _spacing_deg(view))
     return np.nan_to_num(np.floor(elevation / band), nan=-1).astype(np.int64)
 
@@ -204,7 +205,7 @@ def _spacing_deg(view: LidarView) -> float:
     corners = points[mesh.triangles[~mesh.discontinuity].astype(np.int64)].astype(np.float64)
     if not len(corners):
         return _BAND_DEG
-    elevation = np.degrees(np.arctan2(corners[..., 2], np.hypot(corners[..., 0], corners[..., 1])))
+    elevation = np.degrees(elevation_of(corners))
     return float(np.median(np.ptp(elevation, axis=1)))
 
 

@@ -54,6 +54,11 @@ def usable_points(points: NDArray[np.float32], min_range: float = 0.5) -> NDArra
     return usable
 
 
+def elevation_of(points: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    """Angle of points (..., 3) above the plane z = 0 as seen from the origin [rad]."""
+    return np.arctan2(points[..., 2], np.hypot(points[..., 0], points[..., 1]))
+
+
 def evenly(count: int, most: int) -> list[int]:
     """At most ``most`` of ``count`` indices, with the first and the last; fractions are cut."""
     return np.linspace(0, count - 1, min(count, most)).astype(int).tolist()

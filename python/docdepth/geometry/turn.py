@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from docdepth.geometry.points import usable_points
+from docdepth.geometry.points import elevation_of, usable_points
 
 Floats = NDArray[np.float64]
 
@@ -105,7 +105,7 @@ def possible_turns(
 def _ring_by_ring(points: Floats, turned: Floats) -> bool:
     """Whether rows go round several times, always the same way, at one elevation each time."""
     steps = (np.diff(turned) + 0.5) % 1 - 0.5
-    elevation = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
+    elevation = np.degrees(elevation_of(points))
     same_way = max((steps > 0).mean(), (steps < 0).mean()) > _SAME_WAY
     level = np.median(np.abs(np.diff(elevation))) < _LEVEL_DEG
     return bool(same_way and level and abs(steps.sum()) > _LEAST_RINGS - 0.5)

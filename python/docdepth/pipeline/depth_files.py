@@ -32,7 +32,7 @@ from docdepth.visualization.pictures import overlay
 _LEAST_DENSITY = 0.05  # mean share of pixels with depth: 0.5 to 0.8
 
 
-def image_files(
+def files_of_image(
     run: RunFolder, folder: str, name: str, output: OutputParameters
 ) -> dict[str, Path]:
     """All files of an image: ``report``, ``layers``, and a depth map of each format.
@@ -140,8 +140,8 @@ class DepthImage:
     identity: str  # of the image, which the picture shows
 
     def files(self, run: RunFolder) -> dict[str, Path]:
-        """All files, as :func:`image_files` names them."""
-        return image_files(run, self.of.folder, self.name, self.of.parameters.output)
+        """All files, as :func:`files_of_image` names them."""
+        return files_of_image(run, self.of.folder, self.name, self.of.parameters.output)
 
     def left(self, run: RunFolder) -> dict[str, dict[str, str]]:
         """Those of :meth:`files` that are not up to date, and what they are to be made of."""

@@ -18,7 +18,7 @@ from docdepth.io.run_folder import RunFolder, stage_key
 from docdepth.io.tracks import TRACKS
 from docdepth.io.untrusted import open_file
 from docdepth.pipeline.cameras import RunCamera, run_cameras
-from docdepth.pipeline.depth_files import DepthFiles, image_files
+from docdepth.pipeline.depth_files import DepthFiles, files_of_image
 from docdepth.pipeline.label_folder import LabelFolder
 from docdepth.pipeline.run_inputs import known_poses, open_recording
 from docdepth.pipeline.stage import FrameOutputs, Stage, StageInputs, StageState
@@ -279,7 +279,7 @@ def render_stage(
         inputs,
         [
             FrameOutputs(
-                [*image_files(run, camera.folder, stream.names[k], p.output).values()],
+                [*files_of_image(run, camera.folder, stream.names[k], p.output).values()],
                 {"image": identities[k]},
                 stream.images[k].name if stream.images else "",
                 k,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from docdepth.geometry.lidar_frame import LidarFrame
 from docdepth.geometry.points import DYNAMIC, STATIC
-from docdepth.geometry.se3 import inverse, rotation_exp
+from docdepth.geometry.se3 import inverse, rotation_exp, transform_points
 from docdepth.geometry.track import Track, Tracks
 
 TOUCH = 0.2
@@ -89,7 +89,7 @@ def dynamic_objects(
     delay = np.zeros(len(rows)) if time_offset is None else time_offset[rows].astype(np.float64)
     world = points[rows].astype(np.float64)
     if tracks:
-        world = world @ pose[:3, :3].T + pose[:3, 3]
+        world = transform_points(pose, world)
         if instance is not None:
             known = (frame.classes[rows] >= DYNAMIC) & np.isin(instance[rows], tracks.ids)
             ids[known] = instance[rows][known]
@@ -158,7 +158,7 @@ def _inside_boxes(
         middle = inverse(T_object_lidar)[:3, 3]
         low, high = (middle - reach).astype(np.float32), (middle + reach).astype(np.float32)
         near = static[(x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1])]
-        local = frame.points[near] @ T_object_lidar[:3, :3].T + T_object_lidar[:3, 3]
+        local = transform_points(T_object_lidar, frame.points[near])
         if frame.time_offset is not None:
             local -= frame.time_offset[near, None] * velocity
         half = 0.5 * track.size
@@ -175,7 +175,7 @@ def _assign_to_tracks(
         if not len(unassigned):
             return
         T = inverse(track.pose_at(time))
-        local = world[unassigned] @ T[:3, :3].T + T[:3, 3]
+        local = transform_points(T, world[unassigned])
         half = 0.5 * track.size + TOUCH
         inside = (np.abs(local - (0, 0, 0.5 * track.size[2])) <= half).all(axis=1)
         ids[unassigned[inside]] = track.id

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from docdepth.config import RenderParameters
 from docdepth.geometry.lidar_frame import LidarFrame
-from docdepth.geometry.points import DYNAMIC
+from docdepth.geometry.points import DYNAMIC, elevation_of
 from docdepth.geometry.se3 import inverse
 from docdepth.geometry.track import Track, Tracks
 from docdepth.geometry.trajectory import Trajectory
@@ -241,7 +241,7 @@ def seen_to_its_top(track: Track, trajectory: Trajectory) -> bool:
 def _elevation_of_top(track: Track, T_lidar_box: Floats) -> Floats:
     """Elevation of the top of a box (...) [rad] for poses (..., 4, 4); the LiDAR may be tilted."""
     top = T_lidar_box @ (0, 0, track.size[2], 1)
-    return np.asarray(np.arctan2(top[..., 2], np.hypot(top[..., 0], top[..., 1])))
+    return np.asarray(elevation_of(top))
 
 
 def _lidar_in_box(track: Track, trajectory: Trajectory) -> tuple[NDArray[np.int64], Floats]:
@@ -290,7 +290,7 @@ def near_vehicles(frame: LidarFrame, tracks: Tracks) -> NDArray[np.bool_]:
     if instance is None:
         return kept
     azimuth = np.arctan2(points[:, 1], points[:, 0])
-    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    elevation = elevation_of(points)
     own = np.where(frame.classes >= DYNAMIC, instance, 0)
     for of in np.unique(own[own > 0]).tolist():
         if of not in tracks or tracks[of].kind != "vehicle":

@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from docdepth.geometry.se3 import transform_points
+
 Colour = tuple[float, float, float]
 SURFACE = np.dtype([("label", np.uint32), ("colour", np.float32, 3), ("reflectivity", np.float32)])
 """A :class:`Paint` as a row of an array; the high 16 bits of the label hold an instance."""
@@ -36,7 +38,7 @@ class Mesh:
 
     def moved(self, pose: NDArray[np.float64]) -> Mesh:
         """The same triangles after the 4x4 transform ``pose``."""
-        return replace(self, vertices=self.vertices @ pose[:3, :3].T + pose[:3, 3])
+        return replace(self, vertices=transform_points(pose, self.vertices))
 
     @property
     def normals(self) -> NDArray[np.float64]:
