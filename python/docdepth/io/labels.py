@@ -101,10 +101,11 @@ def read_classes(
         0 ground, 50 static, 100 dynamic.
     instance : ndarray of uint16, shape (points,), or None
     """
+    where = f"{file} (frame {frame})"
     if file.suffix == ".npy":
-        return _classes_of(_read_npy(file, frame), file, points, frame), None
+        return _classes_of(_read_npy(file, where), where, points), None
     if file.suffix == ".pcd":
-        labels = _whole(_read_pcd(file, frame), file, points, frame, returns)
+        labels = _whole(_read_pcd(file, where), where, points, returns)
         classid, instance = classes_of_labels(labels)
         return classid, instance if instance.any() else None
     return classes_of_labels(read_labels(file, points, frame))
@@ -112,25 +113,25 @@ def read_classes(
 
 def read_labels(file: Path, points: int, frame: int) -> NDArray[np.uint32]:
     """SemanticKITTI's label of every row of a sweep, shape (points,), from a ``.label`` file."""
+    where = f"{file} (frame {frame})"
     try:
         content = read_file(file)
     except FileNotFoundError:
         raise DatasetError(
-            f"{file} (frame {frame}) cannot be read: it is missing; labels lie in files called as "
+            f"{where} cannot be read: it is missing; labels lie in files called as "
             "their sweeps, NAME.label"
         ) from None
     except OSError as error:
-        raise DatasetError(f"{file} (frame {frame}) cannot be read: {error.strerror}") from None
+        raise DatasetError(f"{where} cannot be read: {error.strerror}") from None
     if len(content) % 4:
         raise DatasetError(
-            f"{file} (frame {frame}) has {len(content)} bytes; labels are one uint32 for each "
-            "point; copy it again"
+            f"{where} has {len(content)} bytes; labels are one uint32 for each point; copy it again"
         )
     labels: NDArray[np.uint32] = np.frombuffer(content, "<u4")
-    _check_count(len(labels), file, points, frame)
+    _check_count(len(labels), where, points)
     told = labels[labels > 0]
     if len(told) and told.min() >= _ONE_AS_FLOAT and not (told & _OF_FLOATS).any():
-        raise DatasetError(f"{file} (frame {frame}) holds float32 numbers; write labels as uint32")
+        raise DatasetError(f"{where} holds float32 numbers; write labels as uint32")
     return labels
 
 
@@ -169,9 +170,8 @@ def write_labels(path: Path, frame: LidarFrame, write_file: WriteFile = write_at
     write_file(path, rows.tobytes())
 
 
-def _read_pcd(file: Path, frame: int) -> NDArray[np.uint32]:
+def _read_pcd(file: Path, where: str) -> NDArray[np.uint32]:
     """Labels as SemanticKITTI's of every point of a PCD file."""
-    where = f"{file} (frame {frame})"
     try:
         rows, _ = read_pcd(file)
     except (OSError, PcdError) as error:
@@ -196,19 +196,18 @@ def _read_pcd(file: Path, frame: int) -> NDArray[np.uint32]:
 
 def _whole(
     labels: NDArray[np.uint32],
-    file: Path,
+    where: str,
     points: int,
-    frame: int,
     returns: Callable[[], NDArray[np.integer[Any]]] | None,
 ) -> NDArray[np.uint32]:
     """Labels of all rows of a sweep from those of all or of its usable returns."""
     if len(labels) == points or returns is None:
-        _check_count(len(labels), file, points, frame)
+        _check_count(len(labels), where, points)
         return labels
     rows = returns()
     if len(rows) != len(labels):
         raise DatasetError(
-            f"{file} (frame {frame}) has {len(labels)} points for a sweep of {points} points, of "
+            f"{where} has {len(labels)} points for a sweep of {points} points, of "
             f"which {len(rows)} are usable returns; it holds one or the other, in their order"
         )
     whole = np.full(points, OUTLIER_LABEL, np.uint32)
@@ -216,34 +215,32 @@ def _whole(
     return whole
 
 
-def _read_npy(file: Path, frame: int) -> NDArray[Any]:
+def _read_npy(file: Path, where: str) -> NDArray[Any]:
     try:
         values = read_array(file)
     except (OSError, ArrayError) as error:
-        raise DatasetError(
-            f"{file} (frame {frame}) cannot be read as NPY ({error}); write it again"
-        ) from None
+        raise DatasetError(f"{where} cannot be read as NPY ({error}); write it again") from None
     if values.ndim != 1 or values.dtype.kind not in "uib":
         raise DatasetError(
-            f"{file} (frame {frame}) must be integers or bool of shape (N,), one for each point; "
+            f"{where} must be integers or bool of shape (N,), one for each point; "
             f"got {values.dtype} {values.shape}"
         )
     return values
 
 
-def _classes_of(values: NDArray[Any], file: Path, points: int, frame: int) -> _Classes:
-    _check_count(len(values), file, points, frame)
+def _classes_of(values: NDArray[Any], where: str, points: int) -> _Classes:
+    _check_count(len(values), where, points)
     if values.dtype.kind == "b":
         return np.where(values, DYNAMIC, STATIC).astype(np.uint16)
     if len(values) and values.min() < 0:
         raise DatasetError(
-            f"{file} (frame {frame}) has the class {values.min()}; below 50 is ground, "
+            f"{where} has the class {values.min()}; below 50 is ground, "
             "50 to 99 for static, 100 and above for dynamic"
         )
     told = np.setdiff1d(values, (GROUND, STATIC, DYNAMIC))
     if len(np.setdiff1d(told, 1)) and np.isin(told, _KNOWN).all():
         raise DatasetError(
-            f"{file} (frame {frame}) has classes as SemanticKITTI's ({told[-1]}); write "
+            f"{where} has classes as SemanticKITTI's ({told[-1]}); write "
             "0 for ground, 50 for static and 100 for dynamic, or bool, or uint32 as .label"
         )
     return np.where(values >= DYNAMIC, DYNAMIC, np.where(values < STATIC, GROUND, STATIC)).astype(
@@ -251,9 +248,9 @@ def _classes_of(values: NDArray[Any], file: Path, points: int, frame: int) -> _C
     )
 
 
-def _check_count(labels: int, file: Path, points: int, frame: int) -> None:
+def _check_count(labels: int, where: str, points: int) -> None:
     if labels != points:
         raise DatasetError(
-            f"{file} (frame {frame}) has {labels} labels for a sweep of {points} points; there is "
+            f"{where} has {labels} labels for a sweep of {points} points; there is "
             "one for each row of the sweep, unusable rows too, in its order"
         )
