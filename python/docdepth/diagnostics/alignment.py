@@ -22,7 +22,7 @@ Scores = NDArray[np.float64]
 Change = tuple[float, float, float, float, float, float]
 """Turn of points about the camera's axes x, y, z [deg], then their shift along these [m]."""
 
-OTHER_TIMES = ", or they are of other times"
+_OTHER_TIMES = ", or they are of other times"
 """What may look like a camera that is too far ahead, where times are not fitted."""
 
 _FEWEST_PAIRS = 5  # with less the difference of two scores says nothing
@@ -79,14 +79,14 @@ def find_misalignment(
     better = "depth edges of the sweeps fit the images better when "
     found = pairs.best(pairs.turns, _MOVED_GAIN if moved else _GAIN)
     if moved:
-        return None if found is None else better + in_words(found[0])
+        return None if found is None else better + _with_times(found[0])
     both = [found, pairs.best(pairs.shifts(), _GAIN)]
     known = [one for one in both if one is not None]
     if known:
-        return better + in_words(max(known, key=lambda one: one[1])[0])
+        return better + _with_times(max(known, key=lambda one: one[1])[0])
     found = pairs.best([(0, 0, roll, 0, 0, 0) for roll in _ROLLS_DEG], _ROLL_GAIN, _ROLL_SHARP)
     if found:
-        return better + in_words(found[0])
+        return better + _with_times(found[0])
     late = pairs.better_images()
     if late:
         when = "later" if late > 0 else "earlier"
@@ -95,8 +95,13 @@ def find_misalignment(
         return None
     found = pairs.best(_turns(_WIDE_STEP_DEG, _WIDEST_DEG), _GAIN)
     if found:
-        return better + in_words(found[0])
+        return better + _with_times(found[0])
     return "depth edges of the sweeps fit the images by chance only" if pairs.no_fit() else None
+
+
+def _with_times(change: Change) -> str:
+    """A change in words; images of other times look as if the camera went ahead."""
+    return in_words(change) + (_OTHER_TIMES if change[5] else "")
 
 
 def _fits_in_another_order(
@@ -235,26 +240,19 @@ def _is_better(scores: Scores, given: Scores, least_gain: float) -> bool:
 
 def in_words(change: Change) -> str:
     """A change of points as one of the camera, the other way: what the camera does."""
+
+    def told(unit: str, *moves: tuple[float, str, str]) -> str:
+        return " and ".join(
+            f"{abs(size):g} {unit} {one if size > 0 else other}"
+            for size, one, other in moves
+            if size
+        )
+
     tilt, pan, roll, x, y, z = change
-    turn = [
-        f"{abs(angle):g} degrees {one if angle > 0 else other}"
-        for angle, one, other in (
-            (pan, "to the left", "to the right"),
-            (tilt, "down", "up"),
-            (roll, "counterclockwise", "clockwise"),
-        )
-        if angle
-    ]
-    shift = [
-        f"{abs(metres):g} m {one if metres > 0 else other}"
-        for metres, one, other in (
-            (x, "to the left", "to the right"),
-            (y, "up", "down"),
-            (z, "back", "forward"),
-        )
-        if metres
-    ]
-    parts = [f"turns {' and '.join(turn)}"] if turn else []
-    parts += [f"moves {' and '.join(shift)}"] if shift else []
-    times = OTHER_TIMES if z else ""
-    return f"the camera {' and '.join(parts)}{times}"
+    left_right = "to the left", "to the right"
+    clockwise = "counterclockwise", "clockwise"
+    turn = told("degrees", (pan, *left_right), (tilt, "down", "up"), (roll, *clockwise))
+    shift = told("m", (x, *left_right), (y, "up", "down"), (z, "back", "forward"))
+    parts = [f"turns {turn}"] if turn else []
+    parts += [f"moves {shift}"] if shift else []
+    return f"the camera {' and '.join(parts)}"

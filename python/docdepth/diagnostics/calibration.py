@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from docdepth.concurrency import Progress, null_progress
 from docdepth.datasets import CameraStream
-from docdepth.diagnostics.alignment import OTHER_TIMES, in_words
+from docdepth.diagnostics.alignment import in_words
 from docdepth.diagnostics.depth_edges import Edges, edges_of_map, pixels_of_tracks, profiles
 from docdepth.diagnostics.edge_fit import EdgeFit, ImageEdges, displaced, fit_edges
 from docdepth.errors import CalibrationError, Finding
@@ -260,8 +260,8 @@ def change_in_words(fit: EdgeFit, parts: NDArray[np.bool_]) -> str:
     """Some parts (7,) of a change in words."""
     change = np.where(parts, [*fit.turn_deg, *fit.shift_m, fit.time_ms], 0.0)
     tilt, pan, roll, x, y, z = (round(float(part), 2) for part in change[:6])
-    place = in_words((tilt, pan, roll, x, y, z)).removesuffix(OTHER_TIMES)
-    found = [place] if any((tilt, pan, roll, x, y, z)) else []
+    place = tilt, pan, roll, x, y, z
+    found = [in_words(place)] if any(place) else []
     if round(change[6], 1):
         when = "later" if change[6] > 0 else "earlier"
         found.append(f"images are taken {abs(change[6]):.1f} ms {when}")
