@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -103,19 +104,13 @@ class SweepClassifier:
 
         ``progress`` is called with the number of sweeps that are done.
         """
-
-        def classify(needed: _Needed) -> Future[None]:
-            index, meshed, key_frames = needed
-            return self._classify(
-                store, index, meshed.result(), [key.result() for key in key_frames], writers
-            )
-
         # A job takes one thread, since a sweep alone has too little to do for many. Others write,
         # so that workers do not wait for the disk.
         workers = thread_count(threads)
         with ThreadPoolExecutor(2) as writers, ThreadPoolExecutor(workers) as pool:
             needed = self._look_ahead(pool, workers, store, sweeps)
-            for done, written in enumerate(prefetch(pool, classify, needed, workers), 1):
+            job = partial(self._classify, store, writers)
+            for done, written in enumerate(prefetch(pool, job, needed, workers), 1):
                 written.result()
                 progress(done)
 
@@ -166,16 +161,10 @@ class SweepClassifier:
         with self._timer("key frames"):
             return KeyFrame(frame.points, frame.ground, self._parameters, mesh, frame.sensor_rig)
 
-    def _classify(
-        self,
-        store: SweepStore,
-        index: int,
-        meshed: _Meshed,
-        key_frames: Sequence[KeyFrame],
-        writers: Executor,
-    ) -> Future[None]:
+    def _classify(self, store: SweepStore, writers: Executor, needed: _Needed) -> Future[None]:
         """Let key frames vote on a sweep, in one thread, and hand the result to the store."""
-        (frame, mesh), voters = meshed, self._key_frames[index]
+        index, meshed, key_frames = needed
+        (frame, mesh), voters = meshed.result(), self._key_frames[index]
         points, ground = frame.points, frame.ground
         poses, times = self._trajectory.poses, self._trajectory.times
         with self._timer("vote"):
@@ -183,7 +172,7 @@ class SweepClassifier:
                 points,
                 ground,
                 poses[index],
-                key_frames,
+                [key.result() for key in key_frames],
                 poses[voters],
                 threads=1,
                 seconds=(times[voters] - times[index]) * 1e-9,
