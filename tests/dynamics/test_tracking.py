@@ -371,13 +371,15 @@ def test_what_no_track_follows_stands_among_things_that_stand():
     The fifth is of those that no track follows.
 
     So does ground that no more than twice as many key frames found free as occupied. Forty points
-    in half a metre move whose places more than three times as many key frames found free.
+    in half a metre move whose places more than three times as many key frames found free, but
+    those of a plank do not.
     """
     rng = np.random.default_rng(0)
     points = rng.uniform(-30, 30, (6000, 3)).astype(np.float32)
     points[:, 2] = rng.uniform(-1, 1, 6000)
     crowds = [(15, 0, 0), (15, 9, 0), (0, -20, 0), (15, -9, 0), (0, 0, 0), (0, 9, 0)]
     points[:600] = (np.repeat(crowds, 100, axis=0) + rng.uniform(0, 0.5, (600, 3))).astype("f4")
+    points[100:200, 2] *= 0.4  # a plank, 20 cm high
     ground, free = rng.random((2, 6000)) < [[0.3], [0.5]]
     statics, dynamics = rng.integers(0, 9, (2, 6000)).astype(np.uint16)
     statics[:300] //= 3
@@ -389,7 +391,7 @@ def test_what_no_track_follows_stands_among_things_that_stand():
     classid = np.where(ground, 0, 50).astype(np.uint16)
     classid[untracked | (rng.random(6000) < np.where(points[:, 1] > -15, 0.95, 0.2))] = 100
     found = withdraw_untracked(classid, untracked, ground, points, votes, porous)
-    expected, dense = classid.copy(), 0
+    expected, dense, planks = classid.copy(), 0, 0
     for i in np.flatnonzero(untracked):
         near = np.abs(np.floor(points / 2) - np.floor(points[i] / 2)).max(1) <= 1
         near &= ~ground & (votes.dynamic > 0)
@@ -399,14 +401,17 @@ def test_what_no_track_follows_stands_among_things_that_stand():
         is_porous = 5 * np.count_nonzero(loose & porous) > np.count_nonzero(loose)
         beside = untracked & (np.floor(points / 0.5) == np.floor(points[i] / 0.5)).all(1)
         clear = votes.dynamic[beside].sum(dtype=int) > 3 * votes.static[beside].sum(dtype=int)
-        is_dense = np.count_nonzero(beside) >= 40 and clear
+        is_high = np.ptp(points[beside, 2]) >= 0.25
+        is_dense = np.count_nonzero(beside) >= 40 and clear and is_high
         stands = is_porous or 2 * stand > np.count_nonzero(near)
         dense += stands and is_dense and not doubtful
+        planks += stands and clear and not is_high and not doubtful
         if doubtful or (stands and not is_dense):
             expected[i] = 0 if ground[i] else 50
     np.testing.assert_array_equal(found, expected)
     assert 0.2 < (found[untracked] == 100).mean() < 0.8
     assert dense > 20
+    assert planks > 20
     none = np.zeros(6000, bool)
     dynamic = np.full_like(classid, 100)
     alone = withdraw_untracked(dynamic, untracked, none, points, votes, none)

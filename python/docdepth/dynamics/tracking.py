@@ -70,10 +70,11 @@ _CELL = 2.0
 _DENSE_CELL = 0.5
 _MIN_DENSE = 40
 _DENSE_FREE_RATIO = 3
-"""So many points in a cell of this edge [m] move, whatever is around them, if together more than so
-many times as many key frames found their places free as occupied: somebody who walks along parked
-cars is one object with them, and no track follows him. Of panels of fences up to 2.4 times as many
-did [-]."""
+_DENSE_HEIGHT = 0.25
+"""So many points in a cell of this edge [m], spread over as much height [m], move, whatever is
+around them, if together more than so many times as many key frames found their places free as
+occupied: somebody who walks along parked cars is one object with them, and no track follows him. Of
+panels of fences up to 2.4 times as many did [-], and more of planks, which single rings hit."""
 
 _MEMBER = np.dtype([("first", "u4"), ("track", "u4"), ("is_dynamic", "u4")])
 _BOX = np.dtype(
@@ -330,7 +331,11 @@ def withdraw_untracked(
         _cell_keys(points[rows], _DENSE_CELL), return_inverse=True, return_counts=True
     )
     dynamic, static = np.bincount(cell, votes.dynamic[rows]), np.bincount(cell, votes.static[rows])
-    is_dense = ((size >= _MIN_DENSE) & (dynamic > _DENSE_FREE_RATIO * static))[cell]
+    low, high = np.full(len(size), np.inf), np.full(len(size), -np.inf)
+    np.minimum.at(low, cell, points[rows, 2])
+    np.maximum.at(high, cell, points[rows, 2])
+    is_many = (size >= _MIN_DENSE) & (high - low >= _DENSE_HEIGHT)
+    is_dense = (is_many & (dynamic > _DENSE_FREE_RATIO * static))[cell]
     is_doubtful = (among_porous | among_static) & ~is_dense
     stands = rows[is_doubtful | (ground[rows] & ~is_clear)]
     classid = classid.copy()
