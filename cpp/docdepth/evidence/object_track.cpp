@@ -24,6 +24,10 @@ constexpr float kThinnestPerson = 0.12f;
 constexpr float kFlatness = 0.2f;
 constexpr float kMaxPorousShare = 1 / 3.0f;
 constexpr float kFlatTransientShare = 0.6f;
+/// What goes so many times its length, and is transient to this share, is none: the side of a car,
+/// of which 16 beams show a strip.
+constexpr float kNoFenceLengths = 10;
+constexpr float kNoFenceShare = 0.9f;
 /// What goes faster than somebody who runs [m/s] leaves its place at once, so that this share of
 /// it is found free at some time: 0.43 at least, of pieces of fences and hedges 0.35 at most. Most
 /// of it is transient, if it is as thin [m] as a piece of a fence of which sweeps hit other slats.
@@ -101,6 +105,8 @@ bool is_fence(const ObjectTrack& object, const MovingShares& shares) {
   const float width = width_of(object.path),
               length = object.path.extent().size().head<2>().maxCoeff();
   if (width >= std::max(kThinnestPerson, kFlatness * length)) return false;
+  if (object.path.distance() >= kNoFenceLengths * length && shares.transient >= kNoFenceShare)
+    return false;
   const float thinness = std::min(1.0f, 2 * width / kThinnestPerson);
   return porous_area > kMaxPorousShare * thinness * area || shares.transient < kFlatTransientShare;
 }

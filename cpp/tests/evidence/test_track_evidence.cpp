@@ -116,11 +116,13 @@ TEST_CASE("what moves is not flat and porous, or goes far") {
   };
   CHECK(fence_moves_if(0.02f, 0.6f, 0.2f));
   CHECK(fence_moves_if(0.32f, 0.6f, 0.2f));
-  CHECK_FALSE(fence_moves_if(0.7f, 0.75f, 0.2f));           // pickets
-  CHECK_FALSE(fence_moves_if(0.82f, 0.93f, 0.08f));         // a piece of a fence, by 128 beams
-  CHECK_FALSE(fence_moves_if(0.45f, 0.44f, 0.17f));         // a fence of KITTI 0013
-  CHECK_FALSE(moves_if(0.31f, 0.27f, 0.20f, 2, 0, 0.03f));  // a bar, by 16 beams
-  CHECK(moves_if(0.02f, 0.6f, 0.2f, 10, 0, 0.03f));         // the side of a van
+  CHECK_FALSE(fence_moves_if(0.7f, 0.75f, 0.2f));            // pickets
+  CHECK_FALSE(fence_moves_if(0.82f, 0.93f, 0.08f));          // a piece of a fence, by 128 beams
+  CHECK_FALSE(fence_moves_if(0.45f, 0.44f, 0.17f));          // a fence of KITTI 0013
+  CHECK_FALSE(moves_if(0.31f, 0.27f, 0.20f, 2, 0, 0.03f));   // a bar, by 16 beams
+  CHECK(moves_if(0.02f, 0.6f, 0.2f, 10, 0, 0.03f));          // the side of a van
+  CHECK(moves_if(0.34f, 0.97f, 0.49f, 60, 0, 0.19f, 1.1f));  // a strip of a car, by 16 beams
+  CHECK_FALSE(moves_if(0.37f, 0.89f, 0.11f, 2.7, 0, 0.10f, 0.29f));  // of KITTI 0013
   // Somebody who walks in single file.
   CHECK(moves_if(0.45f, 0.62f, 0.48f, 2, 0, 0.33f, 0.6f));
   CHECK(moves_if(0.46f, 0.50f, 0.32f, 3.6, 0, 0.22f, 0.55f));  // a child of a school class
