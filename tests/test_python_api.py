@@ -14,7 +14,7 @@ import pytest
 import docdepth
 import docdepth.geometry.points as points_module
 from docdepth.diagnostics.error_sources import find_error_sources
-from docdepth.errors import NOTE
+from docdepth.errors import NOTE, InputError
 from docdepth.evaluation.held_out import evaluate_held_out
 from docdepth.io.tracks import read_tracks
 from motion import straight
@@ -399,3 +399,15 @@ def test_figures_take_a_run_or_its_path(finished: tuple[Path, str]) -> None:
     assert len({str(found) for found in figures}) == 1
     held_out = [evaluate_held_out(one, every=2) for one in (run, run.path, str(run.path))]
     assert len({str(found.as_dict()) for found in held_out}) == 1
+
+
+@pytest.mark.parametrize("shape", [(3, 100), (4, 100), (100, 5)])
+def test_the_remedy_for_points_of_another_shape_is_true(shape: tuple[int, int]) -> None:
+    """Followed as it is written, it gives the same points."""
+    rows = np.random.default_rng(0).normal(size=(100, 5)).astype(np.float32)
+    points = rows[:, : shape[0]].T if shape[1] == 100 else rows
+    with pytest.raises(InputError) as error:
+        points_module.check_points(points)
+    remedy = str(error.value).split(": ")[-1]
+    given = eval(remedy, {"np": np, "points": points})  # the words of the message, nothing else
+    np.testing.assert_array_equal(points_module.check_points(given), rows[:, :3])

@@ -88,11 +88,20 @@ def check_points(points: Any) -> NDArray[np.float32]:
     if array.ndim != 2 or array.shape[1] not in (3, 4) or array.dtype.kind != "f":
         raise InputError(
             f"points must be float32 of shape (N, 3), got {array.dtype} {array.shape}; "
-            "convert them once where they are read: np.asarray(points, np.float32)[:, :3]"
+            + _remedy(array)
         )
     if array.shape[1] != 3 or array.dtype != np.float32:
         _tell_conversion(str(array.dtype), array.shape[1])
     return np.ascontiguousarray(array[:, :3], np.float32)
+
+
+def _remedy(array: NDArray[Any]) -> str:
+    numbers = array.dtype.kind in "iuf" and array.ndim == 2
+    if numbers and array.shape[0] in (3, 4):
+        return "give a row for each point: points.T"
+    if numbers and array.shape[1] >= 3:
+        return "convert them once where they are read: np.asarray(points, np.float32)[:, :3]"
+    return "give a row of x, y, z in metres for each point"
 
 
 _told: set[tuple[str, int]] = set()  # of a drive's thousands of sweeps it is said once
