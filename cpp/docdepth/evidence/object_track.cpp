@@ -26,7 +26,7 @@ constexpr float kMaxPorousShare = 1 / 3.0f;
 constexpr float kFlatTransientShare = 0.6f;
 /// What goes so many times its length, and is transient to this share, is none: the side of a car,
 /// of which 16 beams show a strip.
-constexpr float kNoFenceLengths = 10;
+constexpr float kNoFenceLengths = 30;
 constexpr float kNoFenceShare = 0.9f;
 /// What goes faster than somebody who runs [m/s] leaves its place at once, so that this share of
 /// it is found free at some time: 0.43 at least, of pieces of fences and hedges 0.35 at most. Most
