@@ -408,6 +408,19 @@ def test_the_remedy_for_points_of_another_shape_is_true(shape: tuple[int, int]) 
     points = rows[:, : shape[0]].T if shape[1] == 100 else rows
     with pytest.raises(InputError) as error:
         points_module.check_points(points)
-    remedy = str(error.value).split(": ")[-1]
-    given = eval(remedy, {"np": np, "points": points})  # the words of the message, nothing else
+    given = _follow(str(error.value), points)
     np.testing.assert_array_equal(points_module.check_points(given), rows[:, :3])
+
+
+@pytest.mark.parametrize("count", [3, 4, 9])
+def test_the_remedy_for_points_that_are_integers_is_true(count: int) -> None:
+    """Also of as few points as there are columns."""
+    points = np.arange(3 * count).reshape(count, 3)
+    with pytest.raises(InputError) as error:
+        points_module.check_points(points)
+    given = _follow(str(error.value), points)
+    np.testing.assert_array_equal(points_module.check_points(given), points)
+
+
+def _follow(message: str, points: np.ndarray) -> Any:
+    return eval(message.split(": ")[-1], {"np": np, "points": points})

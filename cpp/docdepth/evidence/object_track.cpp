@@ -9,23 +9,24 @@ namespace {
 
 /// While an object moves, this share of its area was free before or after. A fence of which each
 /// sweep hits other slats seems to go along with the LiDAR, too, but slats stand at its places
-/// before and after: 0.07 of it are free at most, of people who walk in single file 0.14 and more.
+/// before and after: where it is seen all along, 0.07 of it are free at most, of people who walk in
+/// single file 0.14 and more.
 /// Of a vehicle that drives far, this share is transient: of a scaffold that seems to, 0.02 at
 /// most.
 constexpr float kMovingFreeShare = 0.12f;
 /// Where this share is transient, the object moves in any case: of sparse ones it is not known
 /// which places were free (kMaxIsolatedShare).
 constexpr float kSurelyTransientShare = 0.99f;
-/// A fence is flat: thinner than anybody [m], or than this share of its length. Something flat does
-/// not move where a larger share of it than this is porous, the thinner the less, or where less of
-/// it is transient: 0.67 at least of what was flat and did move. People in single file are as
-/// porous, but their thickness is 0.24 of their length and more.
+/// A fence is flat: thinner than anybody [m], or than this share of its length. People in single
+/// file are as porous as a fence, but their thickness is 0.24 of their length and more.
 constexpr float kThinnestPerson = 0.12f;
 constexpr float kFlatness = 0.2f;
+/// What is flat is a fence if a larger share of it than this is porous, the thinner the less,
 constexpr float kMaxPorousShare = 1 / 3.0f;
+/// or if a smaller share is transient: of flat things that moved, 0.67 was at least.
 constexpr float kFlatTransientShare = 0.6f;
-/// What goes so many times its length, and is transient to this share, is none: the side of a car,
-/// of which 16 beams show a strip.
+/// But it is no fence if it goes so many times its length while this share is transient: 16 beams
+/// show a strip of the side of a car.
 constexpr float kNoFenceLengths = 30;
 constexpr float kNoFenceShare = 0.9f;
 /// What goes faster than somebody who runs [m/s] leaves its place at once, so that this share of

@@ -97,7 +97,7 @@ def check_points(points: Any) -> NDArray[np.float32]:
 
 def _remedy(array: NDArray[Any]) -> str:
     numbers = array.dtype.kind in "iuf" and array.ndim == 2
-    if numbers and array.shape[0] in (3, 4):
+    if numbers and array.shape[0] in (3, 4) and array.shape[1] not in (3, 4):
         return "give a row for each point: points.T"
     if numbers and array.shape[1] >= 3:
         return "convert them once where they are read: np.asarray(points, np.float32)[:, :3]"
